@@ -1,0 +1,200 @@
+"""Files, the recordings they make up, and the topics inside."""
+
+import datetime
+import enum
+import uuid
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.names import FilePath, Label
+from kleinkram.contract.people import PersonRef
+
+
+class BlobState(str, enum.Enum):
+    """What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were."""
+
+    stored = "stored"
+    proven = "proven"
+    lost = "lost"
+    corrupt = "corrupt"
+
+
+class ContentState(str, enum.Enum):
+    """What is known of the meaning of the bytes (see the concepts page)."""
+
+    pending = "pending"
+    indexed = "indexed"
+    recovered = "recovered"
+    broken = "broken"
+    opaque = "opaque"
+    error = "error"
+
+
+class FileProblem(BaseModel):
+    """Something odd inside a recording, in plain words."""
+
+    model_config = ConfigDict(frozen=True)
+
+    code: str
+    where: str
+    message: str
+
+
+class FileRead(BaseModel):
+    """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
+
+    `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    mission: MissionRef
+    path: str
+    size_bytes: int
+    state: BlobState
+    state_reason: str | None
+    content: ContentState
+    content_reason: str | None
+    format: str | None
+    recording_id: uuid.UUID | None
+    sha256: str | None
+    md5: str | None
+    crc64nvme: str | None
+    proven_at: datetime.datetime | None
+    labels: list[str]
+    origin: str
+    uploaded_by: PersonRef
+    created_at: datetime.datetime
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+    compression: list[str]
+    problems: list[FileProblem]
+
+
+class FileUpdate(BaseModel):
+    """What to change of a file; what is left out stays. A path renames, a mission moves; no object is touched."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    path: FilePath | None = None
+    mission_id: uuid.UUID | None = None
+    labels: Annotated[list[Label], Field(max_length=50)] | None = None
+
+
+class TopicRead(BaseModel):
+    """One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span."""
+
+    model_config = ConfigDict(frozen=True)
+
+    file_id: uuid.UUID
+    name: str
+    message_type: str | None
+    schema_name: str | None
+    schema_encoding: str | None
+    message_encoding: str | None
+    count: int | None
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    head_gap_ns: int | None
+    tail_gap_ns: int | None
+    out_of_order_count: int | None
+    stored_bytes: int | None
+
+
+class RecordingRead(BaseModel):
+    """One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    mission: MissionRef
+    name: str
+    kind: str
+    file_ids: list[uuid.UUID]
+    paths: list[str]
+    missing: list[str]
+    surplus: list[str]
+    problems: list[FileProblem]
+    start_ns: int | None
+    end_ns: int | None
+    message_count: int | None
+    size_bytes: int
+
+
+class FileSort(str, enum.Enum):
+    """Orders of a list of files. `path` orders by project, mission and path."""
+
+    path = "path"
+    path_desc = "-path"
+    created = "created"
+    created_desc = "-created"
+    size = "size"
+    size_desc = "-size"
+    start = "start"
+    start_desc = "-start"
+
+
+class FileFilter(BaseModel):
+    """Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
+
+    `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
+    (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    text: str | None = None
+    project: str | None = None
+    project_id: uuid.UUID | None = None
+    mission: str | None = None
+    mission_id: uuid.UUID | None = None
+    recording_id: uuid.UUID | None = None
+    path: list[str] = []
+    where: list[str] = []
+    topic: list[str] = []
+    message_type: list[str] = []
+    format: list[str] = []
+    label: list[str] = []
+    state: list[BlobState] = []
+    content: list[ContentState] = []
+    recorded_after: datetime.datetime | None = None
+    recorded_before: datetime.datetime | None = None
+    min_size_bytes: int | None = None
+    max_size_bytes: int | None = None
+
+
+class DownloadRequest(BaseModel):
+    """Files to fetch."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
+
+
+class DownloadLink(BaseModel):
+    """Where to read one file's bytes: GET with or without a Range header, until `expires_at`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    file_id: uuid.UUID
+    path: str
+    size_bytes: int
+    sha256: str | None
+    crc64nvme: str | None
+    state: BlobState
+    url: str
+    expires_at: datetime.datetime
+
+
+class DownloadLinks(BaseModel):
+    """Links, one a file, in the order asked."""
+
+    model_config = ConfigDict(frozen=True)
+
+    items: list[DownloadLink]

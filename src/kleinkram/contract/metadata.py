@@ -1,0 +1,104 @@
+"""Metadata: the typed fields that a project declares, and the values that a mission carries."""
+
+import datetime
+import enum
+import re
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from typing_extensions import Self
+
+MAX_YAML_CHARACTERS = 200_000
+
+FieldName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
+
+
+class FieldType(str, enum.Enum):
+    """What kind of value a metadata field takes."""
+
+    string = "string"
+    number = "number"
+    boolean = "boolean"
+    date = "date"
+    location = "location"
+    link = "link"
+    choice = "choice"
+
+
+class Undeclared(str, enum.Enum):
+    """What a project does with metadata keys that none of its fields declares."""
+
+    accept = "accept"
+    refuse = "refuse"
+
+
+class Location(BaseModel):
+    """A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    latitude: Annotated[float, Field(ge=-90, le=90)]
+    longitude: Annotated[float, Field(ge=-180, le=180)]
+    altitude: float | None = None
+    name: str | None = None
+
+
+# Dates travel and are stored as ISO 8601 text; a location as the mapping of `Location` or as a place's name.
+Metadata = dict[str, JsonValue]
+
+
+class MetadataField(BaseModel):
+    """One field that a project declares.
+
+    `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: FieldName
+    type: FieldType
+    required: bool = False
+    unit: Annotated[str, Field(max_length=32)] | None = None
+    description: Annotated[str, Field(max_length=1000)] = ""
+    pattern: Annotated[str, Field(max_length=500)] | None = None
+    choices: Annotated[list[str], Field(min_length=1, max_length=200)] | None = None
+    default: bool | int | float | str | datetime.date | Location | None = None
+
+    @model_validator(mode="after")
+    def _belongs_to_its_type(self) -> Self:
+        owners = {"unit": FieldType.number, "pattern": FieldType.string, "choices": FieldType.choice}
+        for attribute, owner in owners.items():
+            if getattr(self, attribute) is not None and self.type is not owner:
+                raise ValueError(f"{attribute!r} is only for fields of type {owner.value}")
+        if self.type is FieldType.choice and self.choices is None:
+            raise ValueError("a choice needs its 'choices'")
+        return self
+
+
+class MetadataFields(BaseModel):
+    """All fields that a project declares, as in `fields.yaml`.
+
+    ```yaml
+    undeclared: refuse
+    fields:
+      - {name: robot, type: choice, choices: [anymal, spot], required: true}
+      - {name: temperature, type: number, unit: degC}
+    ```
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    fields: Annotated[list[MetadataField], Field(max_length=200)] = []
+    undeclared: Undeclared = Undeclared.accept
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        seen: set[str] = set()
+        for field in self.fields:
+            if field.name.casefold() in seen:
+                raise ValueError(f"the field {field.name!r} is declared twice")
+            seen.add(field.name.casefold())
+        return self
+
+
+WHERE_EXPRESSION = re.compile(r"(?P<field>[A-Za-z][A-Za-z0-9_.]*)\s*(?P<operator><=|>=|!=|=|<|>|~)\s*(?P<value>.+)")

@@ -1,0 +1,118 @@
+"""Missions: one outing of a robot, with the metadata that its project requires."""
+
+import datetime
+import enum
+import uuid
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kleinkram.contract.errors import FieldProblem
+from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, Metadata
+from kleinkram.contract.names import Name
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+
+Notes = Annotated[str, Field(max_length=100_000)]
+MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
+
+
+class MissionRef(BaseModel):
+    """A mission, as named beside what it holds."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    project: ProjectRef
+
+
+class MissionCreate(BaseModel):
+    """A mission to make; `metadata_yaml` is kept to the letter and must satisfy the project's fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+    metadata_yaml: MetadataYaml | None = None
+    notes: Notes = ""
+
+
+class MissionUpdate(BaseModel):
+    """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name | None = None
+    project_id: uuid.UUID | None = None
+    metadata_yaml: MetadataYaml | None = None
+    notes: Notes | None = None
+    completed: bool | None = None
+
+
+class MissionRead(BaseModel):
+    """A mission and what it amounts to.
+
+    `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
+    `metadata_problems` names what no longer satisfies the project's fields.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    project: ProjectRef
+    metadata: Metadata
+    metadata_yaml: str | None
+    metadata_problems: list[FieldProblem]
+    notes: str
+    completed_at: datetime.datetime | None
+    created_at: datetime.datetime
+    created_by: PersonRef
+    start_ns: int | None
+    end_ns: int | None
+    file_count: int
+    size_bytes: int
+    message_count: int
+    pending_file_count: int
+
+
+class MissionTemplate(BaseModel):
+    """The YAML to fill in for a project's next mission."""
+
+    model_config = ConfigDict(frozen=True)
+
+    yaml: str
+    prefilled_from: MissionRef | None
+
+
+class MissionSort(str, enum.Enum):
+    """Orders of a list of missions."""
+
+    name = "name"
+    name_desc = "-name"
+    created = "created"
+    created_desc = "-created"
+    start = "start"
+    start_desc = "-start"
+
+
+class MissionFilter(BaseModel):
+    """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
+
+    `where` are comparisons with metadata: `robot=anymal`, `temperature>20`, `operator!=ada`, `site~zur*`.
+    `text` is found in names, notes and metadata values.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    text: str | None = None
+    project: str | None = None
+    project_id: uuid.UUID | None = None
+    name: str | None = None
+    where: list[str] = []
+    topic: list[str] = []
+    message_type: list[str] = []
+    recorded_after: datetime.datetime | None = None
+    recorded_before: datetime.datetime | None = None
+    completed: bool | None = None
+    satisfied: bool | None = None

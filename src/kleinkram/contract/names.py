@@ -1,0 +1,108 @@
+"""Rules for names and paths: one annotated type each, used by server, SDK and, through OpenAPI, every form.
+
+Two names are the same when their `name_key` is the same; the database holds that key in its unique indexes.
+"""
+
+import re
+import unicodedata
+from pathlib import PurePosixPath
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+MAX_NAME_CHARACTERS = 128
+MAX_PATH_CHARACTERS = 1024
+MAX_PATH_PART_BYTES = 255
+MAX_LABEL_CHARACTERS = 64
+
+_BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}", re.IGNORECASE)
+
+
+def name_key(name: str) -> str:
+    """Return the form under which a name is unique: casefold of NFC, made NFC again.
+
+    Source: Unicode Standard, section 3.13, canonical caseless matching.
+    """
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def _refuse_unprintable(text: str) -> None:
+    for position, character in enumerate(text):
+        if unicodedata.category(character) in {"Cc", "Cs", "Zl", "Zp"} or character in _BIDI_CONTROLS:
+            raise ValueError(f"holds the control character U+{ord(character):04X} at position {position}")
+
+
+def check_name(name: str) -> str:
+    """Return `name` in NFC, or say why it cannot be the name of a project or mission.
+
+    Raises:
+        ValueError: empty, too long, with control characters, path separators or wildcards, or shaped like an id.
+    """
+    name = unicodedata.normalize("NFC", name)
+    _refuse_unprintable(name)
+    if not name or name != name.strip():
+        raise ValueError("is empty or begins or ends with a space")
+    if len(name) > MAX_NAME_CHARACTERS:
+        raise ValueError(f"has {len(name)} characters; {MAX_NAME_CHARACTERS} are allowed")
+    if name in {".", ".."}:
+        raise ValueError("is a folder reference, not a name")
+    if bad := sorted(set(name) & set('/\\*?[]"')):
+        raise ValueError(f"holds {' '.join(bad)}, which paths and wildcards need")
+    if _UUID.fullmatch(name):
+        raise ValueError("is shaped like an id, so it could not be told from one")
+    return name
+
+
+def check_file_path(path: str) -> str:
+    """Return `path` in NFC, or say why it cannot be a file's path inside its mission.
+
+    A path is relative, with `/` between its parts, and stays inside the mission.
+
+    Raises:
+        ValueError: absolute, leaving the mission, too long, or holding control characters or backslashes.
+    """
+    path = unicodedata.normalize("NFC", path)
+    _refuse_unprintable(path)
+    if not path or path.startswith("/") or path.endswith("/"):
+        raise ValueError("is not a relative path to a file")
+    if "\\" in path:
+        raise ValueError("holds a backslash, which other systems read as a folder separator")
+    if len(path) > MAX_PATH_CHARACTERS:
+        raise ValueError(f"has {len(path)} characters; {MAX_PATH_CHARACTERS} are allowed")
+    for part in path.split("/"):
+        if part in {"", ".", ".."}:
+            raise ValueError(f"holds the part {part!r}, which would leave or blur its place")
+        if len(part.encode()) > MAX_PATH_PART_BYTES:
+            raise ValueError(f"has a part of {len(part.encode())} bytes; {MAX_PATH_PART_BYTES} are allowed")
+    return path
+
+
+def check_label(label: str) -> str:
+    """Return `label` in NFC, or say why it cannot be one.
+
+    Raises:
+        ValueError: empty, too long, or with spaces around it, commas or control characters.
+    """
+    label = unicodedata.normalize("NFC", label)
+    _refuse_unprintable(label)
+    if not label or label != label.strip() or "," in label:
+        raise ValueError("is empty, holds a comma, or begins or ends with a space")
+    if len(label) > MAX_LABEL_CHARACTERS:
+        raise ValueError(f"has {len(label)} characters; {MAX_LABEL_CHARACTERS} are allowed")
+    return label
+
+
+def is_id(reference: str) -> bool:
+    """Say whether a reference given by a person is an id rather than a name."""
+    return _UUID.fullmatch(reference) is not None
+
+
+def file_name(path: str) -> str:
+    """Return the last part of a file's path."""
+    return PurePosixPath(path).name
+
+
+Name = Annotated[str, AfterValidator(check_name), Field(min_length=1, max_length=MAX_NAME_CHARACTERS)]
+FilePath = Annotated[str, AfterValidator(check_file_path), Field(min_length=1, max_length=MAX_PATH_CHARACTERS)]
+Label = Annotated[str, AfterValidator(check_label), Field(min_length=1, max_length=MAX_LABEL_CHARACTERS)]

@@ -1,0 +1,24 @@
+"""Pages: what every list answers with."""
+
+from typing import Annotated, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+T = TypeVar("T")
+
+MAX_PAGE_SIZE = 500
+PageSize = Annotated[int, Field(ge=1, le=MAX_PAGE_SIZE)]
+
+
+class Page(BaseModel, Generic[T]):
+    """One page of a list, in the list's order.
+
+    `next` is the cursor of the following page, or null on the last. `total` is the number of all rows that match, and
+    is null unless it was asked for.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    items: list[T]
+    next: str | None = None
+    total: int | None = None

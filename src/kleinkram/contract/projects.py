@@ -1,0 +1,71 @@
+"""Projects: the top of project > mission > file."""
+
+import datetime
+import enum
+import uuid
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
+from kleinkram.contract.names import Name
+from kleinkram.contract.people import PersonRef
+
+Description = Annotated[str, Field(max_length=10_000)]
+FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
+
+
+class ProjectRef(BaseModel):
+    """A project, as named beside what it holds."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+
+
+class ProjectCreate(BaseModel):
+    """A project to make; `fields_yaml` is the text of a `fields.yaml`, read and judged by the server."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+    description: Description = ""
+    fields_yaml: FieldsYaml | None = None
+
+
+class ProjectUpdate(BaseModel):
+    """What to change of a project; what is left out stays."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name | None = None
+    description: Description | None = None
+    fields_yaml: FieldsYaml | None = None
+
+
+class ProjectRead(BaseModel):
+    """A project and what it amounts to. Counts leave out what is in the trash."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    description: str
+    metadata_fields: MetadataFields
+    created_at: datetime.datetime
+    created_by: PersonRef
+    mission_count: int
+    file_count: int
+    size_bytes: int
+    duration_ns: int
+    unsatisfied_mission_count: int
+
+
+class ProjectSort(str, enum.Enum):
+    """Orders of a list of projects; names by `COLLATE "C"`."""
+
+    name = "name"
+    name_desc = "-name"
+    created = "created"
+    created_desc = "-created"

@@ -1,0 +1,47 @@
+"""The trash: what was deleted and can still be had back."""
+
+import datetime
+import enum
+import uuid
+
+from pydantic import BaseModel, ConfigDict
+
+from kleinkram.contract.people import PersonRef
+
+
+class TrashNoun(str, enum.Enum):
+    """What can lie in the trash."""
+
+    project = "project"
+    mission = "mission"
+    file = "file"
+
+
+class TrashRead(BaseModel):
+    """Something deleted. `place` is what held it: the project of a mission, project and mission of a file.
+
+    A mission that was deleted with its project is not listed by itself; it comes back with the project.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    noun: TrashNoun
+    id: uuid.UUID
+    name: str
+    place: str
+    size_bytes: int
+    file_count: int
+    deleted_at: datetime.datetime
+    deleted_by: PersonRef
+    swept_after: datetime.datetime
+
+
+class Deleted(BaseModel):
+    """What a deletion moved to the trash (or, as a dry run, would move)."""
+
+    model_config = ConfigDict(frozen=True)
+
+    missions: int
+    files: int
+    size_bytes: int
+    dry_run: bool
