@@ -1,0 +1,71 @@
+"""`python -m kleinkram.server migrate | api | worker`: the server's processes."""
+
+import argparse
+import asyncio
+from pathlib import Path
+
+from kleinkram.server.logs import set_up_logs
+from kleinkram.server.settings import Settings, plain_dsn
+
+
+def main() -> None:
+    """Run one of the server's processes until it is told to stop."""
+    arguments = _parser().parse_args()
+    settings = Settings()  # read from the environment
+    set_up_logs(settings.log_format)
+    if arguments.command == "migrate":
+        _migrate(settings)
+    elif arguments.command == "worker":
+        _work(settings)
+    else:
+        _serve(settings, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m kleinkram.server", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("migrate", help="bring the database schema to this version")
+    commands.add_parser("worker", help="run background jobs")
+    api = commands.add_parser("api", help="serve the API")
+    api.add_argument("--host", default="127.0.0.1")
+    api.add_argument("--port", type=int, default=8000)
+    api.add_argument("--tls-cert", type=Path)
+    api.add_argument("--tls-key", type=Path)
+    return parser
+
+
+def _migrate(settings: Settings) -> None:
+    from alembic import command
+
+    from kleinkram.server.migrations import alembic_config
+
+    url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
+    command.upgrade(alembic_config(url, settings.serving_role), "head")
+
+
+def _work(settings: Settings) -> None:
+    from kleinkram.server.jobs.worker import run_worker
+
+    asyncio.run(run_worker(settings))
+
+
+def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
+    import uvicorn
+
+    from kleinkram.server.app import create_app
+
+    uvicorn.run(
+        create_app(settings),
+        host=arguments.host,
+        port=arguments.port,
+        ssl_certfile=arguments.tls_cert,
+        ssl_keyfile=arguments.tls_key,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=10,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""The local owner of a standalone server: one person, whose token `klein up` wrote to a file."""
+
+import uuid
+
+from sqlalchemy import func, insert, select, update
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.server.access.actor import token_hash
+from kleinkram.server.db import Connection
+from kleinkram.server.tables import person, token
+
+# Fixed, so that every start finds the same person without a search by name.
+OWNER_ID = uuid.UUID("6f776e65-7200-4000-8000-000000000001")
+OWNER_NAME = "owner"
+_TOKEN_NAME = "local owner"  # noqa: S105  the token's label, not its secret
+
+
+async def ensure_owner(db: Connection, secret_token: str) -> None:
+    """Make the local owner exist, with exactly this token; an older one stops working."""
+    await db.execute(upsert(person).values(id=OWNER_ID, name=OWNER_NAME).on_conflict_do_nothing())
+    secret = token_hash(secret_token)
+    held = await db.execute(select(token.c.id).where(token.c.secret_sha256 == secret, token.c.revoked_at.is_(None)))
+    if held.first() is not None:
+        return
+    stale = (token.c.person_id == OWNER_ID) & (token.c.name == _TOKEN_NAME) & token.c.revoked_at.is_(None)
+    await db.execute(update(token).where(stale).values(revoked_at=func.now()))
+    await db.execute(insert(token).values(id=uuid.uuid4(), person_id=OWNER_ID, name=_TOKEN_NAME, secret_sha256=secret))

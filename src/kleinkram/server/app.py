@@ -1,0 +1,73 @@
+"""The composition root: everything is put together here, and nobody imports it."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+import kleinkram
+from kleinkram.contract.errors import ProblemDocument
+from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.server.access.owner import ensure_owner
+from kleinkram.server.audit.routes import router as audit
+from kleinkram.server.db import open_database
+from kleinkram.server.files.routes import router as files
+from kleinkram.server.health.routes import probes
+from kleinkram.server.health.routes import router as service
+from kleinkram.server.http import Envelope, install_handlers
+from kleinkram.server.jobs.queue import queue
+from kleinkram.server.missions.routes import router as missions
+from kleinkram.server.probe import probe_checksum, record_probe
+from kleinkram.server.projects.routes import router as projects
+from kleinkram.server.search.routes import router as search
+from kleinkram.server.settings import Settings
+from kleinkram.server.storage import open_storage
+from kleinkram.server.trash.routes import router as trash
+from kleinkram.server.uploads.routes import router as uploads
+
+_log = logging.getLogger("kleinkram.app")
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Return the API, ready to be served; it connects when it starts."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        database = open_database(settings)
+        async with open_storage(settings, ChecksumKind.crc64nvme) as store:
+            kind = await probe_checksum(store)
+            owner_token = await _read_owner_token(settings)
+            async with database.begin() as db:
+                await record_probe(db, settings.store_id, kind)
+                if owner_token:
+                    await ensure_owner(db, owner_token)
+            app.state.database = database
+            app.state.storage = store.proving_by(kind)
+            _log.info("serving", extra={"fields": {"version": kleinkram.__version__, "checksum": kind.value}})
+            yield
+        await database.close()
+
+    app = FastAPI(
+        title="Kleinkram",
+        version=kleinkram.__version__,
+        summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        responses={"default": {"model": ProblemDocument, "description": "A failure, as RFC 9457 problem document."}},
+    )
+    app.state.settings = settings
+    app.state.queue = queue
+    app.add_middleware(Envelope, body_limit_bytes=settings.body_limit_bytes)
+    install_handlers(app)
+    for router in (probes, service, projects, missions, files, uploads, search, trash, audit):
+        app.include_router(router)
+    return app
+
+
+async def _read_owner_token(settings: Settings) -> str | None:
+    if settings.owner_token_file is None:
+        return None
+    return (await asyncio.to_thread(settings.owner_token_file.read_text, encoding="ascii")).strip()

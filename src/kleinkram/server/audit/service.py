@@ -1,0 +1,42 @@
+"""Writing the record."""
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from sqlalchemy import insert
+
+from kleinkram.contract.metadata import Metadata
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import Connection
+from kleinkram.server.tables import audit_event
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happened to one thing: `operation` is `<noun>.<verb>`; before and after hold only what changed."""
+
+    operation: str
+    noun: str
+    noun_id: uuid.UUID | None
+    noun_name: str
+    project_id: uuid.UUID | None
+    before: Metadata = field(default_factory=dict)
+    after: Metadata = field(default_factory=dict)
+
+
+async def record(db: Connection, actor: Actor | None, *events: Event) -> None:
+    """Add events to the record, as part of the caller's transaction. `actor` is None for the server's own jobs."""
+    await record_all(db, actor, events)
+
+
+async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event]) -> None:
+    """Add many events to the record, as part of the caller's transaction."""
+    if not events:
+        return
+    who = {
+        "actor_id": actor.person_id if actor else None,
+        "token_id": actor.token_id if actor else None,
+        "request_id": actor.request_id if actor else None,
+    }
+    await db.execute(insert(audit_event), [{**vars(event), **who} for event in events])

@@ -1,0 +1,156 @@
+"""What every answer has in common: a request id, a bounded body, and failures as problem documents."""
+
+import json
+import logging
+import re
+import time
+import uuid
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from kleinkram.contract.errors import (
+    BodyTooLarge,
+    DatabaseUnavailable,
+    FieldProblem,
+    InternalError,
+    InvalidRequest,
+    KleinkramError,
+    MethodNotAllowed,
+    NotFound,
+    to_problem,
+)
+from kleinkram.server import measures
+
+_log = logging.getLogger("kleinkram.http")
+_REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+
+
+class Envelope:
+    """ASGI middleware: names each request, bounds its body, logs and counts its answer."""
+
+    def __init__(self, app: ASGIApp, *, body_limit_bytes: int) -> None:
+        self._app = app
+        self._body_limit_bytes = body_limit_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = dict(scope["headers"])
+        given = headers.get(b"x-request-id", b"")
+        request_id = given.decode() if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
+        scope.setdefault("state", {})["request_id"] = request_id
+        started = time.perf_counter()
+        status = 500
+
+        async def send_named(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode())]
+            await send(message)
+
+        try:
+            await self._bounded(scope, receive, send_named, headers)
+        finally:
+            self._account(scope, status, time.perf_counter() - started, request_id)
+
+    async def _bounded(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
+        limit = self._body_limit_bytes
+        request_id = scope["state"]["request_id"]
+        declared = headers.get(b"content-length", b"0")
+        if declared.isdigit() and int(declared) > limit:
+            error = BodyTooLarge(size_bytes=int(declared), limit_bytes=limit)
+            await problem_response(error, request_id)(scope, receive, send)
+            return
+        received = 0
+
+        async def receive_bounded() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > limit:  # HTTPException is what passes through the framework's body parser
+                raise HTTPException(413, detail=str(received))
+            return message
+
+        await self._app(scope, receive_bounded, send)
+
+    @staticmethod
+    def _account(scope: Scope, status: int, seconds: float, request_id: str) -> None:
+        route = scope.get("route")
+        path = getattr(route, "path", "unmatched")
+        measures.REQUESTS.labels(scope["method"], path, str(status)).inc()
+        measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
+        if path.startswith(("/health", "/metrics")) and status < 500:
+            return
+        fields = {"method": scope["method"], "path": scope["path"], "status": status, "request_id": request_id}
+        _log.info("request", extra={"fields": {**fields, "duration_ms": round(seconds * 1000, 1)}})
+
+
+def problem_response(error: KleinkramError, request_id: str | None) -> JSONResponse:
+    """Return the answer that an error stands for."""
+    problem = to_problem(error, request_id)
+    headers = {"Retry-After": "2"} if error.status == 503 else {}
+    if error.status == 401:
+        headers["WWW-Authenticate"] = "Bearer"
+    return JSONResponse(
+        json.loads(problem.model_dump_json(exclude_none=True)),
+        status_code=error.status,
+        media_type="application/problem+json",
+        headers=headers,
+    )
+
+
+def _request_id(request: Request) -> str | None:
+    return getattr(request.state, "request_id", None)
+
+
+async def _on_failure(request: Request, error: Exception) -> JSONResponse:
+    if not isinstance(error, KleinkramError):
+        raise error
+    return problem_response(error, _request_id(request))
+
+
+async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
+    if not isinstance(error, RequestValidationError):
+        raise error
+    problems = [
+        FieldProblem(field=".".join(str(part) for part in issue["loc"]), message=str(issue["msg"]))
+        for issue in error.errors()
+    ]
+    return problem_response(InvalidRequest(problems=problems), _request_id(request))
+
+
+async def _on_http_exception(request: Request, error: Exception) -> JSONResponse:
+    if not isinstance(error, HTTPException):
+        raise error
+    if error.status_code == 413:
+        limit: int = request.app.state.settings.body_limit_bytes
+        return problem_response(BodyTooLarge(size_bytes=int(error.detail), limit_bytes=limit), _request_id(request))
+    if error.status_code == 405:
+        return problem_response(MethodNotAllowed(method=request.method, path=request.url.path), _request_id(request))
+    if error.status_code == 404:
+        return problem_response(NotFound(noun="page", ref=request.url.path), _request_id(request))
+    problem = FieldProblem(field="request", message=str(error.detail))
+    return problem_response(InvalidRequest(problems=[problem]), _request_id(request))
+
+
+async def _on_crash(request: Request, error: Exception) -> JSONResponse:
+    request_id = _request_id(request) or "unknown"
+    if isinstance(error, ConnectionError | TimeoutError):
+        return problem_response(DatabaseUnavailable(), request_id)
+    _log.error("crash", exc_info=error, extra={"fields": {"request_id": request_id}})
+    return problem_response(InternalError(request_id=request_id), request_id)
+
+
+def install_handlers(app: FastAPI) -> None:
+    """Turn every failure of an app into a problem document."""
+    app.add_exception_handler(KleinkramError, _on_failure)
+    app.add_exception_handler(RequestValidationError, _on_invalid)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(Exception, _on_crash)

@@ -1,0 +1,24 @@
+"""Alembic's entry: one connection, one transaction, one migrator at a time."""
+
+from alembic import context
+from sqlalchemy import create_engine, pool, text
+
+from kleinkram.server.tables import metadata
+
+# Any number that nobody else in this database uses: two migrators wait for each other on it.
+_LOCK = 0x6B6C65696E
+
+
+def _ours(_object: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
+    return not (name or "").startswith(("procrastinate", "idx_procrastinate"))
+
+
+engine = create_engine(context.config.attributes["url"], poolclass=pool.NullPool)
+with engine.connect() as connection:
+    context.configure(
+        connection=connection, target_metadata=metadata, include_object=_ours, compare_server_default=True
+    )
+    with context.begin_transaction():
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+        context.run_migrations()
+engine.dispose()

@@ -1,0 +1,96 @@
+"""Keyset pages: a list continues after the last row it gave, however many rows came or went in between."""
+
+import base64
+import binascii
+import datetime
+import hashlib
+import json
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
+
+from kleinkram.contract.errors import InvalidCursor
+from kleinkram.server.db import Connection
+
+_TYPES: dict[str, Callable[[str], Any]] = {"s": str, "i": int, "d": datetime.datetime.fromisoformat, "u": uuid.UUID}
+
+
+@dataclass(frozen=True)
+class Order:
+    """The total order of a list: columns that are never null, the last of them unique; one direction for all."""
+
+    columns: Sequence[ColumnElement[Any]]
+    descending: bool = False
+
+    @property
+    def signature(self) -> str:
+        """A few characters that differ between orders, so that a cursor of one is refused by another."""
+        text = "|".join(str(column) for column in self.columns) + str(self.descending)
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+@dataclass(frozen=True)
+class PageRequest:
+    """Which page of a list is wanted."""
+
+    limit: int
+    cursor: str | None = None
+    count: bool = False
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One page of rows, the cursor of the next page, and the number of all rows where that was asked for."""
+
+    items: Sequence[Row[Any]]
+    next: str | None
+    total: int | None
+
+
+async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
+    """Run a select for one page.
+
+    Raises:
+        InvalidCursor: the cursor is not one of this list in this order.
+    """
+    total = None
+    if request.count:
+        total = (await db.execute(select(func.count()).select_from(statement.order_by(None).subquery()))).scalar_one()
+    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
+    paged = statement.add_columns(*keys).limit(request.limit + 1)
+    if request.cursor:
+        after = tuple_(*(literal(value) for value in _decode(request.cursor, order)))
+        row = tuple_(*order.columns)
+        paged = paged.where(row < after if order.descending else row > after)
+    paged = paged.order_by(*(column.desc() if order.descending else column.asc() for column in order.columns))
+    rows = (await db.execute(paged)).all()
+    more = len(rows) > request.limit
+    items = rows[: request.limit]
+    return Rows(items, _encode(items[-1], order) if more else None, total)
+
+
+def _encode(row: Row[Any], order: Order) -> str:
+    values = [_to_text(row._mapping[f"_key_{number}"]) for number in range(len(order.columns))]
+    return base64.urlsafe_b64encode(json.dumps([order.signature, *values]).encode()).decode().rstrip("=")
+
+
+def _to_text(value: object) -> str:
+    if isinstance(value, datetime.datetime):
+        return "d" + value.isoformat()
+    if isinstance(value, uuid.UUID):
+        return "u" + str(value)
+    return ("i" if isinstance(value, int) else "s") + str(value)
+
+
+def _decode(cursor: str, order: Order) -> list[Any]:
+    try:
+        signature, *values = json.loads(base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)))
+        decoded = [_TYPES[value[0]](value[1:]) for value in values]
+    except (ValueError, TypeError, KeyError, IndexError, binascii.Error):
+        raise InvalidCursor from None
+    if signature != order.signature or len(decoded) != len(order.columns):
+        raise InvalidCursor
+    return decoded

@@ -1,0 +1,89 @@
+"""Settings, read once from the environment when a process starts. Every one is described in the settings reference."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, PostgresDsn, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+Seconds = Annotated[float, Field(gt=0)]
+
+
+class Settings(BaseSettings):
+    """What one server process needs to know. Names in the environment: `KLEINKRAM_` and the name in capitals."""
+
+    model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore")
+
+    database_url: Annotated[
+        PostgresDsn, Field(description="PostgreSQL as the role that serves; no rights on the schema.")
+    ]
+    migration_database_url: Annotated[
+        PostgresDsn | None, Field(description="PostgreSQL as the role that owns the schema; only `migrate` needs it.")
+    ] = None
+    serving_role: Annotated[
+        str, Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `database_url`, which migrations grant to.")
+    ] = "kleinkram_serve"
+    database_connections: Annotated[int, Field(ge=2, le=200, description="Connections a process may open.")] = 8
+
+    s3_internal_url: Annotated[str, Field(description="The store's address as this server reaches it.")]
+    s3_public_url: Annotated[
+        str | None,
+        Field(
+            description="The store's address as clients reach it: part of every signature. Default: the internal one."
+        ),
+    ] = None
+    s3_runner_url: Annotated[
+        str | None, Field(description="The store's address as action runners reach it. Default: the public one.")
+    ] = None
+    s3_bucket: Annotated[str, Field(min_length=3, description="The bucket; it must exist.")] = "kleinkram"
+    s3_region: Annotated[str, Field(description="The region that signatures name.")] = "us-east-1"
+    s3_access_key: Annotated[
+        str, Field(description="Access key of an identity that may read, write and list the bucket.")
+    ]
+    s3_secret_key: Annotated[SecretStr, Field(description="Its secret key.")]
+    s3_ca_file: Annotated[
+        Path | None, Field(description="Certificate authority of the store, where it is a private one.")
+    ] = None
+    store_id: Annotated[str, Field(description="The name under which blobs remember this store.")] = "main"
+
+    public_url: Annotated[str, Field(description="This server's address as clients reach it.")] = (
+        "http://127.0.0.1:8000"
+    )
+    owner_token_file: Annotated[
+        Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
+    ] = None
+    log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
+
+    body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
+    upload_lease_s: Annotated[
+        Seconds, Field(description="How long a name stays held after the last part was signed.")
+    ] = 60
+    upload_expires_s: Annotated[Seconds, Field(description="How long an unfinished upload is kept.")] = 7 * 86_400
+    part_url_s: Annotated[Seconds, Field(description="How long the address of a part to send is good for.")] = 900
+    download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 3600
+    trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
+    sweep_grace_s: Annotated[
+        float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
+    ] = 3600
+    proving_bytes_per_s: Annotated[
+        int, Field(ge=1_048_576, description="Rate limit of the job that reads new blobs to prove them.")
+    ] = 100_000_000
+    summary_memory_bytes: Annotated[
+        int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
+    ] = 1024**3
+    summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+
+    @property
+    def store_public_url(self) -> str:
+        """The address that clients' signatures name."""
+        return self.s3_public_url or self.s3_internal_url
+
+
+def async_dsn(url: PostgresDsn) -> str:
+    """Return a database address as SQLAlchemy wants it, with the psycopg driver."""
+    return f"postgresql+psycopg://{str(url).split('://', 1)[1]}"
+
+
+def plain_dsn(url: PostgresDsn) -> str:
+    """Return a database address as libpq wants it."""
+    return f"postgresql://{str(url).split('://', 1)[1]}"

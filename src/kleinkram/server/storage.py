@@ -1,0 +1,308 @@
+"""The only door to the object store. Speaks S3; nobody else in the server does.
+
+Addresses for clients are signed for the public store address, the server's own calls go to the internal one. Never
+called inside a database transaction. Keys are opaque, and an object is never written twice.
+"""
+
+import asyncio
+import base64
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from aiobotocore.config import AioConfig
+from aiobotocore.session import get_session
+from aiohttp import ClientError as HttpError
+from botocore.exceptions import BotoCoreError, ClientError
+from fastapi import Depends, Request
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.names import file_name
+from kleinkram.contract.uploads import ChecksumKind, HeldPart
+from kleinkram.server.settings import Settings
+
+READ_BYTES = 1024 * 1024
+_PARAMETERS = {
+    ChecksumKind.crc64nvme: "ChecksumCRC64NVME",
+    ChecksumKind.sha256: "ChecksumSHA256",
+    ChecksumKind.md5: "ContentMD5",
+}
+_HEADERS = {
+    ChecksumKind.crc64nvme: "x-amz-checksum-crc64nvme",
+    ChecksumKind.sha256: "x-amz-checksum-sha256",
+    ChecksumKind.md5: "Content-MD5",
+}
+
+
+class StoreRefused(Exception):
+    """The store would not take what it was given: parts missing, or a checksum that differs. Its own words inside."""
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """What the store says of an object. `crc64nvme` is null where it keeps none for the whole object."""
+
+    key: str
+    size_bytes: int
+    crc64nvme: bytes | None
+
+
+@dataclass(frozen=True)
+class Signed:
+    """An address good for one kind of request, and the headers that must go with it."""
+
+    url: str
+    headers: dict[str, str]
+
+
+@dataclass(frozen=True)
+class PartTarget:
+    """Where one part goes. Without a multipart id the part is the whole object."""
+
+    key: str
+    multipart_id: str | None
+    number: int
+    size_bytes: int
+    checksum: str
+
+
+class Storage:
+    """One bucket of one store. `checksum` is how it proves what it receives, as the start-up probe found."""
+
+    def __init__(self, internal: Any, public: Any, bucket: str, checksum: ChecksumKind) -> None:
+        # Any: botocore builds its clients from data at run time.
+        self._internal = internal
+        self._public = public
+        self.bucket = bucket
+        self.checksum = checksum
+
+    async def check(self) -> None:
+        """Ask for the bucket.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or not for this bucket and key.
+        """
+        await self._call("head_bucket", Bucket=self.bucket)
+
+    async def begin_multipart(self, key: str) -> str:
+        """Open a multipart upload and return the store's id of it."""
+        arguments = {}
+        if self.checksum is ChecksumKind.crc64nvme:
+            arguments = {"ChecksumAlgorithm": "CRC64NVME", "ChecksumType": "FULL_OBJECT"}
+        elif self.checksum is ChecksumKind.sha256:
+            arguments = {"ChecksumAlgorithm": "SHA256"}
+        answer = await self._call("create_multipart_upload", Bucket=self.bucket, Key=key, **arguments)
+        return str(answer["UploadId"])
+
+    async def held_parts(self, key: str, multipart_id: str) -> list[HeldPart] | None:
+        """Return the parts that the store holds, in order, or None when it no longer knows the upload."""
+        raw = await self._raw_parts(key, multipart_id)
+        if raw is None:
+            return None
+        return [HeldPart(number=part["PartNumber"], size_bytes=part["Size"], etag=part["ETag"]) for part in raw]
+
+    async def _raw_parts(self, key: str, multipart_id: str) -> list[dict[str, Any]] | None:
+        parts: list[dict[str, Any]] = []
+        marker = 0
+        while True:
+            try:
+                answer = await self._call(
+                    "list_parts", Bucket=self.bucket, Key=key, UploadId=multipart_id, PartNumberMarker=marker
+                )
+            except StoreRefused:
+                return None
+            parts += answer.get("Parts", [])
+            if not answer.get("IsTruncated"):
+                return parts
+            marker = int(answer["NextPartNumberMarker"])
+
+    async def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
+        """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused."""
+        checksum = base64.b64encode(bytes.fromhex(target.checksum)).decode()
+        parameters: dict[str, Any] = {
+            "Bucket": self.bucket,
+            "Key": target.key,
+            "ContentLength": target.size_bytes,
+            _PARAMETERS[self.checksum]: checksum,
+        }
+        if target.multipart_id is not None:
+            parameters |= {"UploadId": target.multipart_id, "PartNumber": target.number}
+        operation = "put_object" if target.multipart_id is None else "upload_part"
+        url = await self._public.generate_presigned_url(operation, Params=parameters, ExpiresIn=round(expires_s))
+        return Signed(url, {_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)})
+
+    async def complete_multipart(self, key: str, multipart_id: str, *, crc64nvme: bytes) -> None:
+        """Join the parts; the store compares the whole object's CRC-64/NVME where it can.
+
+        Raises:
+            StoreRefused: parts are missing or the checksum differs; no object came to be and the parts are still there.
+        """
+        parts = await self._raw_parts(key, multipart_id)
+        if parts is None:
+            raise StoreRefused("the store does not know this upload")
+        listing: list[dict[str, Any]] = [{"PartNumber": part["PartNumber"], "ETag": part["ETag"]} for part in parts]
+        arguments: dict[str, Any] = {}
+        if self.checksum is ChecksumKind.crc64nvme:
+            arguments = {"ChecksumCRC64NVME": base64.b64encode(crc64nvme).decode(), "ChecksumType": "FULL_OBJECT"}
+        elif self.checksum is ChecksumKind.sha256:
+            for entry, part in zip(listing, parts, strict=True):
+                entry["ChecksumSHA256"] = part["ChecksumSHA256"]
+        await self._call(
+            "complete_multipart_upload",
+            Bucket=self.bucket,
+            Key=key,
+            UploadId=multipart_id,
+            MultipartUpload={"Parts": listing},
+            **arguments,
+        )
+
+    async def abort_multipart(self, key: str, multipart_id: str) -> None:
+        """Drop a multipart upload and its parts; nothing happens where there is none."""
+        try:
+            await self._call("abort_multipart_upload", Bucket=self.bucket, Key=key, UploadId=multipart_id)
+        except StoreRefused:
+            return
+
+    async def find(self, key: str) -> StoredObject | None:
+        """Return what the store says of an object, or None where there is none."""
+        try:
+            answer = await self._call("head_object", Bucket=self.bucket, Key=key, ChecksumMode="ENABLED")
+        except StoreRefused:
+            return None
+        crc = answer.get("ChecksumCRC64NVME")
+        return StoredObject(key, answer["ContentLength"], base64.b64decode(crc) if crc else None)
+
+    async def sizes(self, prefix: str) -> dict[str, int]:
+        """Return the sizes in bytes of all objects whose keys begin with `prefix`."""
+        found: dict[str, int] = {}
+        arguments: dict[str, Any] = {"Bucket": self.bucket, "Prefix": prefix}
+        while True:
+            answer = await self._call("list_objects_v2", **arguments)
+            found |= {entry["Key"]: entry["Size"] for entry in answer.get("Contents", [])}
+            if not answer.get("IsTruncated"):
+                return found
+            arguments["ContinuationToken"] = answer["NextContinuationToken"]
+
+    async def open_multiparts(self, prefix: str) -> list[tuple[str, str]]:
+        """Return key and id of the multipart uploads under way whose keys begin with `prefix`."""
+        answer = await self._call("list_multipart_uploads", Bucket=self.bucket, Prefix=prefix)
+        return [(entry["Key"], entry["UploadId"]) for entry in answer.get("Uploads", [])]
+
+    async def sign_read(self, key: str, *, path: str, expires_s: float) -> str:
+        """Return where a client reads an object, whole or by ranges; a browser saves it under the file's name."""
+        quoted = file_name(path).encode("ascii", "replace").decode().replace('"', "_").replace("?", "_")
+        parameters = {
+            "Bucket": self.bucket,
+            "Key": key,
+            "ResponseContentDisposition": f'attachment; filename="{quoted}"',
+        }
+        url = await self._public.generate_presigned_url("get_object", Params=parameters, ExpiresIn=round(expires_s))
+        return str(url)
+
+    async def sign_internal_read(self, key: str, *, expires_s: float) -> str:
+        """Return where a process of this server, without credentials, reads an object by ranges."""
+        parameters = {"Bucket": self.bucket, "Key": key}
+        url = await self._internal.generate_presigned_url("get_object", Params=parameters, ExpiresIn=round(expires_s))
+        return str(url)
+
+    async def read(self, key: str) -> AsyncIterator[bytes]:
+        """Stream an object in pieces of at most 1 MiB.
+
+        Raises:
+            FileNotFoundError: the store has no such object.
+            StoreUnavailable: the store does not answer, or stops in the middle.
+        """
+        try:
+            answer = await self._call("get_object", Bucket=self.bucket, Key=key)
+        except StoreRefused:
+            raise FileNotFoundError(key) from None
+        async with answer["Body"] as body:
+            try:
+                while piece := await body.read(READ_BYTES):
+                    yield piece
+            except (HttpError, BotoCoreError, asyncio.TimeoutError, OSError) as error:
+                raise StoreUnavailable(reason=f"reading stopped: {type(error).__name__}") from error
+
+    async def put_small(self, key: str, body: bytes, **arguments: str) -> None:
+        """Write a small object of the server's own.
+
+        Raises:
+            StoreRefused: the store would not take it.
+        """
+        await self._call("put_object", Bucket=self.bucket, Key=key, Body=body, **arguments)
+
+    async def put_small_part(self, key: str, multipart_id: str, body: bytes) -> None:
+        """Write one small part of the server's own.
+
+        Raises:
+            StoreRefused: the store would not take it.
+        """
+        await self._call("upload_part", Bucket=self.bucket, Key=key, UploadId=multipart_id, PartNumber=1, Body=body)
+
+    def proving_by(self, checksum: ChecksumKind) -> "Storage":
+        """Return the same store, asked for another kind of proof."""
+        return Storage(self._internal, self._public, self.bucket, checksum)
+
+    async def delete(self, key: str) -> None:
+        """Delete an object; nothing happens where there is none."""
+        await self._call("delete_object", Bucket=self.bucket, Key=key)
+
+    async def _call(self, operation: str, **arguments: Any) -> dict[str, Any]:
+        try:
+            answer: dict[str, Any] = await getattr(self._internal, operation)(**arguments)
+        except ClientError as error:
+            raise _refusal(error, operation) from error
+        except (BotoCoreError, HttpError, asyncio.TimeoutError, OSError) as error:
+            raise StoreUnavailable(reason=f"{operation}: {type(error).__name__}") from error
+        return answer
+
+
+def _refusal(error: ClientError, operation: str) -> Exception:
+    code = str(error.response["Error"].get("Code", "unknown"))
+    status = int(error.response["ResponseMetadata"].get("HTTPStatusCode", 500))
+    if status >= 500 or status in {401, 403} or (operation == "head_bucket"):
+        return StoreUnavailable(reason=f"{operation}: {code}")
+    return StoreRefused(f"{operation}: {code}: {error.response['Error'].get('Message', '')}")
+
+
+def _client_arguments(settings: Settings, url: str) -> dict[str, Any]:
+    return {
+        "endpoint_url": url,
+        "region_name": settings.s3_region,
+        "aws_access_key_id": settings.s3_access_key,
+        "aws_secret_access_key": settings.s3_secret_key.get_secret_value(),
+        "verify": str(settings.s3_ca_file) if settings.s3_ca_file else None,
+        "config": AioConfig(
+            signature_version="s3v4",
+            s3={"addressing_style": "path"},
+            request_checksum_calculation="when_required",
+            response_checksum_validation="when_required",
+            connect_timeout=5,
+            read_timeout=60,
+            max_pool_connections=32,
+            retries={"max_attempts": 3, "mode": "standard"},
+        ),
+    }
+
+
+@asynccontextmanager
+async def open_storage(settings: Settings, checksum: ChecksumKind) -> AsyncIterator[Storage]:
+    """Open the store for the life of a process."""
+    session = get_session()
+    async with AsyncExitStack() as stack:
+        internal = await stack.enter_async_context(
+            session.create_client("s3", **_client_arguments(settings, settings.s3_internal_url))
+        )
+        public = await stack.enter_async_context(
+            session.create_client("s3", **_client_arguments(settings, settings.store_public_url))
+        )
+        yield Storage(internal, public, settings.s3_bucket, checksum)
+
+
+def _current_storage(request: Request) -> Storage:
+    storage: Storage = request.app.state.storage
+    return storage
+
+
+CurrentStorage = Annotated[Storage, Depends(_current_storage)]

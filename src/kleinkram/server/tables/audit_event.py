@@ -1,0 +1,26 @@
+"""The record. The serving database role may add to it and read it, nothing else."""
+
+from sqlalchemy import BigInteger, Column, DateTime, ForeignKey, Identity, Index, Table, Text, Uuid, func
+from sqlalchemy.dialects.postgresql import JSONB
+
+from kleinkram.server.tables.base import metadata
+
+audit_event = Table(
+    "audit_event",
+    metadata,
+    Column("id", BigInteger, Identity(always=True), primary_key=True),
+    Column("at", DateTime(timezone=True), nullable=False, server_default=func.now()),
+    Column("actor_id", Uuid, ForeignKey("person.id")),
+    Column("token_id", Uuid, ForeignKey("token.id")),
+    Column("operation", Text, nullable=False),
+    Column("noun", Text, nullable=False),
+    # No foreign keys: the record outlives what it speaks of.
+    Column("noun_id", Uuid),
+    Column("noun_name", Text, nullable=False),
+    Column("project_id", Uuid),
+    Column("before", JSONB, nullable=False, server_default="{}"),
+    Column("after", JSONB, nullable=False, server_default="{}"),
+    Column("request_id", Text),
+    Index("ix_audit_event_noun_id", "noun_id", "id"),
+    Index("ix_audit_event_project_id", "project_id", "id"),
+)

@@ -1,0 +1,62 @@
+"""Files and the recordings that they make up."""
+
+from sqlalchemy import (
+    ARRAY,
+    BigInteger,
+    CheckConstraint,
+    Column,
+    DateTime,
+    ForeignKey,
+    Index,
+    Table,
+    Text,
+    UniqueConstraint,
+    Uuid,
+    text,
+)
+from sqlalchemy.dialects.postgresql import JSONB
+
+from kleinkram.server.tables.base import created_at_column, id_column, metadata, sorted_text
+
+recording = Table(
+    "recording",
+    metadata,
+    id_column(),
+    Column("mission_id", Uuid, ForeignKey("mission.id", ondelete="CASCADE"), nullable=False),
+    # Mission-relative: the folder of a rosbag2 recording, the file or stem of others.
+    sorted_text("name"),
+    Column("kind", Text, nullable=False),
+    Column("missing", ARRAY(Text), nullable=False, server_default="{}"),
+    Column("surplus", ARRAY(Text), nullable=False, server_default="{}"),
+    Column("problems", JSONB, nullable=False, server_default="[]"),
+    Column("message_count", BigInteger),
+    Column("start_ns", BigInteger),
+    Column("end_ns", BigInteger),
+    UniqueConstraint("mission_id", "name", "kind"),
+    CheckConstraint("start_ns <= end_ns", name="span"),
+)
+
+file = Table(
+    "file",
+    metadata,
+    id_column(),
+    Column("mission_id", Uuid, ForeignKey("mission.id"), nullable=False),
+    # A recording is derived from its files; dropping it never takes one with it.
+    Column("recording_id", Uuid, ForeignKey("recording.id", ondelete="SET NULL"), index=True),
+    Column("blob_id", Uuid, ForeignKey("blob.id"), nullable=False, index=True),
+    sorted_text("path"),
+    sorted_text("path_key"),
+    Column("origin", Text, nullable=False),
+    Column("uploaded_by_id", Uuid, ForeignKey("person.id"), nullable=False),
+    Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
+    created_at_column(),
+    Column("deleted_at", DateTime(timezone=True)),
+    Column("deleted_by_id", Uuid, ForeignKey("person.id")),
+    CheckConstraint("char_length(path) BETWEEN 1 AND 1024", name="path_length"),
+    CheckConstraint("(deleted_at IS NULL) = (deleted_by_id IS NULL)", name="deleted"),
+    CheckConstraint("origin IN ('upload', 'link')", name="origin"),
+    Index("uq_file_path_key_live", "mission_id", "path_key", unique=True, postgresql_where=text("deleted_at IS NULL")),
+    Index("ix_file_path", "mission_id", "path", "id"),
+    Index("ix_file_created_at", "created_at", "id"),
+    Index("ix_file_labels", "labels", postgresql_using="gin"),
+)
