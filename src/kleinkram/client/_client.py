@@ -1,0 +1,58 @@
+"""The client: one connection, one attribute a noun."""
+
+from types import TracebackType
+
+from typing_extensions import Self
+
+from kleinkram.client._http import Api
+from kleinkram.client.audit import Audit
+from kleinkram.client.config import Endpoint, find_endpoint
+from kleinkram.client.files import Files
+from kleinkram.client.missions import Missions
+from kleinkram.client.projects import Projects
+from kleinkram.client.recordings import Recordings
+from kleinkram.client.service import Service
+from kleinkram.client.stats import Stats
+from kleinkram.client.trash import Trash
+from kleinkram.client.uploads import Uploads
+
+
+class Client:
+    """A connection to one Kleinkram server. A context manager; may be shared between threads."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        api = Api(endpoint)
+        self._api = api
+        self.endpoint = endpoint
+        self.projects = Projects(api)
+        self.missions = Missions(api)
+        self.files = Files(api)
+        self.recordings = Recordings(api)
+        self.uploads = Uploads(api)
+        self.trash = Trash(api)
+        self.stats = Stats(api)
+        self.audit = Audit(api)
+        self.service = Service(api)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._api.close()
+
+
+def connect(url: str | None = None, token: str | None = None) -> Client:
+    """Return a client for a server: the one given, else the one configured, else this user's own instance.
+
+    No request is made yet. See `kleinkram.client.config` for the order of places that are asked.
+
+    Raises:
+        NotConfigured: no server is known, or no token for it.
+    """
+    return Client(find_endpoint(url, token))

@@ -1,0 +1,214 @@
+"""The one door to the API: a request goes in as a model, comes out as a model or as a named error.
+
+Never moves the bytes of files; those go straight to the store (`transfer/`). Safe to share between threads.
+"""
+
+import functools
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+from urllib.parse import urlencode
+
+import urllib3
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+import kleinkram
+from kleinkram.client._retry import Backoff
+from kleinkram.client.config import Endpoint
+from kleinkram.client.errors import (
+    AnswerNotUnderstood,
+    InvalidInput,
+    ServerUnreachable,
+    StoreUnreachable,
+    remember_request,
+)
+from kleinkram.contract.errors import KleinkramError, ProblemDocument, from_problem
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+
+CONNECT_TIMEOUT_S = 10.0
+READ_TIMEOUT_S = 60.0
+PATIENCE_S = 8.0
+_RETRIED_STATUS = frozenset({429, 502, 503, 504})
+_NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
+
+
+def checked(kind: type[M], what: str, **fields: object) -> M:
+    """Return a request model of these fields.
+
+    Raises:
+        InvalidInput: they are not what the model takes; says which and why.
+    """
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = " ".join(str(part) for part in first["loc"])
+        reason = first["msg"].removeprefix("Value error, ")
+        raise InvalidInput(what=f"{what} ({where})" if where else what, reason=reason) from None
+
+
+def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
+    """Return what a filter says as query parameters: lists repeated, what is not said left out."""
+    said: dict[str, object] = model.model_dump(mode="json", exclude_defaults=True) if model else {}
+    pairs: list[tuple[str, str]] = []
+    for key, value in {**said, **more}.items():
+        values = value if isinstance(value, list) else [value]
+        pairs += [(key, _text(one)) for one in values if one is not None]
+    return pairs
+
+
+def _text(value: object) -> str:
+    return ("true" if value else "false") if isinstance(value, bool) else str(value)
+
+
+@functools.lru_cache(maxsize=64)
+def _adapter(kind: type[object]) -> TypeAdapter[Any]:  # Any: the cache cannot say which adapter belongs to which kind
+    return TypeAdapter(kind)
+
+
+class Api:
+    """A connection to one server's API."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._base = f"{endpoint.url}/api/v1"
+        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
+        self._pool = urllib3.PoolManager(maxsize=8, retries=False, timeout=timeout)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._pool.clear()
+
+    def get(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> T:
+        """Return what a path answers; tried again when the server is briefly away."""
+        return self.understood(kind, f"GET {path}", self._request("GET", path, query=query or []))
+
+    def send(self, method: str, path: str, kind: type[T], body: BaseModel | None = None) -> T:
+        """Ask for a change and return its answer; not tried again once the server may have seen it."""
+        answer = self._request(method, path, body=body, idempotent=False)
+        return self.understood(kind, f"{method} {path}", answer)
+
+    def repeat(
+        self,
+        path: str,
+        kind: type[T],
+        body: BaseModel,
+        *,
+        patience_s: float = PATIENCE_S,
+        wait: Callable[[float], object] | None = None,
+    ) -> T:
+        """POST something that may be said twice (asking for links, signing), for as long as patience lasts."""
+        answer = self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
+        return self.understood(kind, f"POST {path}", answer)
+
+    def patch(self, path: str, kind: type[T], body: BaseModel) -> T:
+        """Change a noun: only the fields that were set in `body` travel."""
+        return self.understood(kind, f"PATCH {path}", self._request("PATCH", path, body=body))
+
+    def delete(self, path: str, query: list[tuple[str, str]] | None = None) -> bytes:
+        """Delete a noun and return the answer's body."""
+        return self._request("DELETE", path, query=query or [], idempotent=False)
+
+    def post_empty(self, path: str) -> bytes:
+        """POST without a body, to something that may be asked for twice, and return the answer's body."""
+        return self._request("POST", path)
+
+    def understood(self, kind: type[T], what: str, answer: bytes) -> T:
+        """Return an answer's body as a model.
+
+        Raises:
+            AnswerNotUnderstood: it is not one; server and client are of different versions, or it is no Kleinkram.
+        """
+        try:
+            adapter: TypeAdapter[T] = _adapter(kind)
+            return adapter.validate_json(answer)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise self._not_understood(what, f"{where}: {first['msg']}") from None
+
+    def _not_understood(self, what: str, reason: str) -> AnswerNotUnderstood:
+        return AnswerNotUnderstood(
+            url=self.endpoint.url, what=what, client_version=kleinkram.__version__, reason=reason
+        )
+
+    def _request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: list[tuple[str, str]] | None = None,
+        body: BaseModel | None = None,
+        idempotent: bool = True,
+        patience_s: float = PATIENCE_S,
+        wait: Callable[[float], object] | None = None,
+    ) -> bytes:
+        backoff = Backoff(patience_s, wait) if wait else Backoff(patience_s)
+        url = self._base + path
+        content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
+        while True:
+            request_id = uuid.uuid4().hex
+            try:
+                answer = self._once(method, url, query, content, request_id)
+            except urllib3.exceptions.HTTPError as error:
+                if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
+                    continue
+                raise remember_request(self._unreachable(error), request_id) from error
+            if answer.status < 300:
+                return answer.data
+            if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
+                continue
+            raise self._failure(f"{method} {path}", answer, request_id)
+
+    def _once(
+        self, method: str, url: str, query: list[tuple[str, str]] | None, content: bytes | None, request_id: str
+    ) -> urllib3.BaseHTTPResponse:
+        headers = {
+            "Authorization": f"Bearer {self.endpoint.token}",
+            "User-Agent": f"klein/{kleinkram.__version__}",
+            "X-Request-Id": request_id,
+            "Accept": "application/json",
+        }
+        if content is not None:
+            headers["Content-Type"] = "application/json"
+        target = f"{url}?{urlencode(query)}" if query else url
+        return self._pool.request(method, target, body=content, headers=headers, redirect=False)
+
+    def _unreachable(self, error: urllib3.exceptions.HTTPError) -> ServerUnreachable:
+        return ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
+
+    def _failure(self, what: str, answer: urllib3.BaseHTTPResponse, request_id: str) -> KleinkramError:
+        try:
+            problem = ProblemDocument.model_validate_json(answer.data)
+        except ValidationError:
+            code = f"status {answer.status} and no problem document this client knows"
+            return remember_request(self._not_understood(what, code), answer.headers.get("X-Request-Id", request_id))
+        return remember_request(from_problem(problem), problem.request_id or request_id)
+
+
+def _retry_after_s(headers: Mapping[str, str]) -> float:
+    try:
+        return min(float(headers.get("Retry-After", "0")), 60.0)
+    except ValueError:
+        return 0.0
+
+
+def reason_of(error: BaseException) -> str:
+    """Return why a connection failed, in a few words and without the addresses of objects."""
+    cause: Any = error  # Any: urllib3 hides causes in several untyped attributes
+    while (inner := getattr(cause, "reason", None) or cause.__cause__ or cause.__context__) is not None:
+        if not isinstance(inner, BaseException):
+            break
+        cause = inner
+    if isinstance(cause, urllib3.exceptions.TimeoutError | TimeoutError):
+        return "it took too long"
+    text = getattr(cause, "strerror", None) or str(cause).rpartition(": ")[2] or type(cause).__name__
+    return str(text)
+
+
+def store_unreachable(url: str, error: BaseException) -> StoreUnreachable:
+    """Return the error for a store that cannot be reached, naming it without the signature in its URL."""
+    parsed = urllib3.util.parse_url(url)
+    return StoreUnreachable(store=f"{parsed.scheme}://{parsed.netloc}", reason=reason_of(error))

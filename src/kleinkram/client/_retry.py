@@ -1,0 +1,29 @@
+"""Waiting between tries: growing, with jitter, and not for ever."""
+
+import random
+import time
+from collections.abc import Callable
+
+FIRST_WAIT_S = 0.25
+LONGEST_WAIT_S = 10.0
+
+
+class Backoff:
+    """The waits of one thing that is tried again. Not shared between threads.
+
+    `wait` is what waits (seconds); a transfer gives one that a Ctrl-C ends.
+    """
+
+    def __init__(self, patience_s: float, wait: Callable[[float], object] = time.sleep) -> None:
+        self._ends_at = time.monotonic() + patience_s
+        self._next_s = FIRST_WAIT_S
+        self._wait = wait
+
+    def pause(self, at_least_s: float = 0.0) -> bool:
+        """Wait before the next try; return False, without waiting, when patience has run out."""
+        wait_s = max(at_least_s, self._next_s * random.uniform(0.5, 1.0))  # noqa: S311  jitter is no secret
+        self._next_s = min(self._next_s * 2, LONGEST_WAIT_S)
+        if time.monotonic() + wait_s > self._ends_at:
+            return False
+        self._wait(wait_s)
+        return True

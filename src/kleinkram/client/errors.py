@@ -1,0 +1,193 @@
+"""Failures that only a client can have: no server, no configuration, files of this machine that are not as they were.
+
+Failures that the server names are raised as the classes of `kleinkram.contract.errors`; both kinds share one base.
+A class's docstring is its sentence; its fields fill the braces.
+"""
+
+from dataclasses import dataclass
+
+from kleinkram.contract.errors import KleinkramError
+
+
+def request_id_of(error: BaseException) -> str | None:
+    """Return the id of the request that failed, or None for a failure without a request."""
+    request_id = error.__dict__.get("request_id")
+    return request_id if isinstance(request_id, str) else None
+
+
+def remember_request(error: KleinkramError, request_id: str | None) -> KleinkramError:
+    """Keep the request's id on the error, for `request_id_of`, and return the error."""
+    if request_id is not None and request_id_of(error) in {None, "unknown"}:
+        error.__dict__["request_id"] = request_id
+    return error
+
+
+class ClientError(KleinkramError):
+    """Something went wrong on this machine."""
+
+
+@dataclass(eq=False)
+class NotConfigured(ClientError):
+    """No server is known: {reason}. Start one with `klein up`, or name one with `klein endpoint add`, or KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
+
+    reason: str
+
+
+@dataclass(eq=False)
+class ConfigurationBroken(ClientError):
+    """{file} cannot be used: {reason}. Mend or remove it."""
+
+    file: str
+    reason: str
+
+
+@dataclass(eq=False)
+class NoSuchEndpoint(ClientError):
+    """There is no endpoint {name!r}; known are: {known}. `klein endpoint add` makes one."""
+
+    name: str
+    known: str
+
+
+@dataclass(eq=False)
+class ServerUnreachable(ClientError):
+    """The server at {url} does not answer ({reason}). Is it running (`klein doctor`), and is this the right one (`klein endpoint`)?"""  # noqa: E501  one sentence
+
+    url: str
+    reason: str
+
+
+@dataclass(eq=False)
+class AnswerNotUnderstood(ClientError):
+    """{url} answered {what} in a way that this client ({client_version}) does not understand: {reason}. Is it a Kleinkram server, and of the same version?"""  # noqa: E501  one sentence
+
+    url: str
+    what: str
+    client_version: str
+    reason: str
+
+
+@dataclass(eq=False)
+class StoreUnreachable(ClientError):
+    """The object store at {store} does not answer ({reason}). The server hands out this address; `klein doctor` says whether it can be reached from here."""  # noqa: E501  one sentence
+
+    store: str
+    reason: str
+
+
+@dataclass(eq=False)
+class TransferFailed(ClientError):
+    """{path!r} could not be transferred: {reason}. Run the same command again; what has arrived stays."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class FileChanged(ClientError):
+    """{path!r} changed while it was read ({reason}), so it was not uploaded. Wait until nothing writes to it, then run the same command again."""  # noqa: E501  one sentence
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class StillRecording(ClientError):
+    """{path!r} was left out: {reason}. When the recording has ended run the same command again, or give --include-active."""  # noqa: E501  one sentence
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class NotAFile(ClientError):
+    """{path!r} was left out: it is {kind}, not a file or folder."""
+
+    path: str
+    kind: str
+
+
+@dataclass(eq=False)
+class FileUnreadable(ClientError):
+    """{path!r} cannot be read: {reason}."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class NameUnusable(ClientError):
+    """{path!r} cannot be the name of a file in a mission: it {reason}. Rename it, then run the same command again."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class PathsCollide(ClientError):
+    """{first!r} and {second!r} would both become {path!r}. Nothing was transferred; give them apart, or rename one."""
+
+    path: str
+    first: str
+    second: str
+
+
+@dataclass(eq=False)
+class NothingToDo(ClientError):
+    """{reason}."""
+
+    reason: str
+
+
+@dataclass(eq=False)
+class UploadElsewhere(ClientError):
+    """{path!r} is being uploaded by another klein process on this machine. Wait for it to end."""
+
+    path: str
+
+
+@dataclass(eq=False)
+class DestinationRefused(ClientError):
+    """{path!r} was not written: {reason}."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class DestinationDiffers(ClientError):
+    """{path!r} is here already with other content, and was left as it is. Give --overwrite to replace it, or another --dest."""  # noqa: E501  one sentence
+
+    path: str
+
+
+@dataclass(eq=False)
+class DiskFull(ClientError):
+    """There is no room for {path!r}: {reason}. What has arrived was kept; make room and run the same command again."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class VerifyFailed(ClientError):
+    """The bytes of {path!r} are not what the server promised: {reason}. Nothing was kept; run the command again."""
+
+    path: str
+    reason: str
+
+
+@dataclass(eq=False)
+class InvalidInput(ClientError):
+    """{what} is not usable: {reason}."""
+
+    what: str
+    reason: str
+
+
+@dataclass(eq=False)
+class TimedOut(ClientError):
+    """{what} was not finished after {seconds:g} s. It goes on in the server; look again later."""
+
+    what: str
+    seconds: float

@@ -1,0 +1,100 @@
+"""Files and the topics inside them, for programs."""
+
+import uuid
+from collections.abc import Iterator, Sequence
+
+from kleinkram.client._http import Api, checked, query_of
+from kleinkram.client._names import the_one
+from kleinkram.client._paging import count, pages
+from kleinkram.client.missions import Missions
+from kleinkram.contract.files import (
+    DownloadLinks,
+    DownloadRequest,
+    FileFilter,
+    FileRead,
+    FileSort,
+    FileUpdate,
+    TopicRead,
+)
+from kleinkram.contract.names import is_id
+from kleinkram.contract.trash import Deleted
+
+
+class Files:
+    """`client.files`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(
+        self, matching: FileFilter | None = None, *, sort: FileSort | None = None, limit: int | None = None
+    ) -> Iterator[FileRead]:
+        """Yield the files that match, by project, mission and path unless `sort` says otherwise."""
+        query = query_of(matching, sort=sort.value if sort else None)
+        return pages(self._api, "/files", FileRead, query, limit=limit)
+
+    def count(self, matching: FileFilter | None = None) -> int:
+        """Return how many files match."""
+        return count(self._api, "/files", FileRead, query_of(matching))
+
+    def get(
+        self,
+        ref: str | uuid.UUID,
+        *,
+        mission: str | uuid.UUID | None = None,
+        project: str | uuid.UUID | None = None,
+    ) -> FileRead:
+        """Return the file with this id, or with this path (in that mission, where one is given).
+
+        Raises:
+            NotFound: there is none, or no such mission or project.
+            AmbiguousName: several missions have one of that path.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/files/{ref}", FileRead)
+        if mission is None:
+            scope = FileFilter(path=[ref], project=None if project is None else str(project))
+        else:
+            scope = FileFilter(path=[ref], mission_id=Missions(self._api).get(mission, project=project).id)
+        return the_one("file", ref, self.list(scope), name=lambda row: row.path, label=file_label)
+
+    def topics(self, file_id: uuid.UUID) -> Iterator[TopicRead]:
+        """Yield the topics of one file, by name."""
+        return pages(self._api, f"/files/{file_id}/topics", TopicRead, [])
+
+    def find_topics(self, matching: FileFilter | None = None, *, limit: int | None = None) -> Iterator[TopicRead]:
+        """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
+        return pages(self._api, "/topics", TopicRead, query_of(matching), limit=limit)
+
+    def update(self, file_id: uuid.UUID, **changes: str | uuid.UUID | Sequence[str]) -> FileRead:
+        """Change what is given (the fields of `FileUpdate`): a path renames, a `mission_id` moves; no byte is touched.
+
+        Raises:
+            FileExists, PathConflict: the new place is taken.
+            InvalidInput: the path or a label is not usable.
+        """
+        body = checked(FileUpdate, "The file", **changes)
+        return self._api.patch(f"/files/{file_id}", FileRead, body)
+
+    def delete(self, file_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+        """Move a file to the trash; with `dry_run`, only say what would go."""
+        answer = self._api.delete(f"/files/{file_id}", query_of(None, dry_run=dry_run or None))
+        return self._api.understood(Deleted, "DELETE file", answer)
+
+    def prove(self, file_id: uuid.UUID) -> FileRead:
+        """Have the server read the file's bytes again; `state` and `proven_at` tell when it has."""
+        return self._api.understood(FileRead, "prove", self._api.post_empty(f"/files/{file_id}/prove"))
+
+    def links(self, file_ids: Sequence[uuid.UUID]) -> DownloadLinks:
+        """Return where to read the bytes of up to 500 files, in the order asked.
+
+        Raises:
+            FileUnavailable: the store's copy of one is lost or corrupt.
+        """
+        body = DownloadRequest(file_ids=[*file_ids])
+        return self._api.repeat("/files/download", DownloadLinks, body)
+
+
+def file_label(file: FileRead) -> str:
+    """Return how a file is listed among candidates."""
+    return f"{file.mission.project.name}/{file.mission.name}/{file.path} ({file.id})"

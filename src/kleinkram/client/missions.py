@@ -1,0 +1,80 @@
+"""Missions, for programs."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, checked, query_of
+from kleinkram.client._names import the_one
+from kleinkram.client._paging import count, pages
+from kleinkram.client.projects import Projects
+from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
+from kleinkram.contract.names import is_id
+from kleinkram.contract.trash import Deleted
+
+
+class Missions:
+    """`client.missions`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(
+        self, matching: MissionFilter | None = None, *, sort: MissionSort | None = None, limit: int | None = None
+    ) -> Iterator[MissionRead]:
+        """Yield the missions that match, by name unless `sort` says otherwise."""
+        query = query_of(matching, sort=sort.value if sort else None)
+        return pages(self._api, "/missions", MissionRead, query, limit=limit)
+
+    def count(self, matching: MissionFilter | None = None) -> int:
+        """Return how many missions match."""
+        return count(self._api, "/missions", MissionRead, query_of(matching))
+
+    def get(self, ref: str | uuid.UUID, *, project: str | uuid.UUID | None = None) -> MissionRead:
+        """Return the mission with this id, or with this name (in that project, where one is given).
+
+        Raises:
+            NotFound: there is none, or no such project.
+            AmbiguousName: several projects have one of that name.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/missions/{ref}", MissionRead)
+        project_id = None if project is None else Projects(self._api).get(project).id
+        rows = self.list(MissionFilter(project_id=project_id, name=ref))
+        return the_one("mission", ref, rows, name=lambda row: row.name, label=mission_label)
+
+    def create(
+        self, name: str, *, project_id: uuid.UUID, metadata_yaml: str | None = None, notes: str = ""
+    ) -> MissionRead:
+        """Make a mission; the server judges `metadata_yaml` against the project's fields and keeps it to the letter.
+
+        Raises:
+            MetadataInvalid: names every missing or wrong field at once; nothing was made.
+            YamlInvalid: the YAML cannot be read; says where.
+            NameTaken: the project has a mission of that name.
+            InvalidInput: the name is not usable.
+        """
+        body = checked(MissionCreate, "The mission", name=name, metadata_yaml=metadata_yaml, notes=notes)
+        return self._api.send("POST", f"/projects/{project_id}/missions", MissionRead, body)
+
+    def update(self, mission_id: uuid.UUID, **changes: str | bool | uuid.UUID) -> MissionRead:
+        """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
+
+        Raises:
+            MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.
+        """
+        body = checked(MissionUpdate, "The mission", **changes)
+        return self._api.patch(f"/missions/{mission_id}", MissionRead, body)
+
+    def complete(self, mission_id: uuid.UUID) -> MissionRead:
+        """Say that all of the mission is uploaded."""
+        return self.update(mission_id, completed=True)
+
+    def delete(self, mission_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+        """Move a mission and its files to the trash; with `dry_run`, only say what would go."""
+        answer = self._api.delete(f"/missions/{mission_id}", query_of(None, dry_run=dry_run or None))
+        return self._api.understood(Deleted, "DELETE mission", answer)
+
+
+def mission_label(mission: MissionRead) -> str:
+    """Return how a mission is listed among candidates."""
+    return f"{mission.project.name}/{mission.name} ({mission.id})"

@@ -1,0 +1,91 @@
+"""Projects, for programs."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, checked, query_of
+from kleinkram.client._names import the_one
+from kleinkram.client._paging import count, pages
+from kleinkram.contract.missions import MissionTemplate
+from kleinkram.contract.names import is_id
+from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
+from kleinkram.contract.trash import Deleted
+
+
+class Projects:
+    """`client.projects`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(
+        self,
+        *,
+        name: str | None = None,
+        text: str | None = None,
+        sort: ProjectSort | None = None,
+        limit: int | None = None,
+    ) -> Iterator[ProjectRead]:
+        """Yield projects, by name unless `sort` says otherwise; `name` may be a glob, `text` is found anywhere."""
+        query = query_of(None, name=name, text=text, sort=sort.value if sort else None)
+        return pages(self._api, "/projects", ProjectRead, query, limit=limit)
+
+    def count(self, *, name: str | None = None, text: str | None = None) -> int:
+        """Return how many projects there are."""
+        return count(self._api, "/projects", ProjectRead, query_of(None, name=name, text=text))
+
+    def get(self, ref: str | uuid.UUID) -> ProjectRead:
+        """Return the project with this id or name.
+
+        Raises:
+            NotFound: there is none.
+            AmbiguousName: a glob matches several.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/projects/{ref}", ProjectRead)
+        return the_one("project", ref, self.list(name=ref), name=lambda row: row.name, label=project_label)
+
+    def create(self, name: str, *, description: str = "", fields_yaml: str | None = None) -> ProjectRead:
+        """Make a project; `fields_yaml` is the text of a `fields.yaml` that declares its metadata fields.
+
+        Raises:
+            NameTaken: there is one of that name.
+            FieldsInvalid: the definitions are not usable; names every problem.
+            YamlInvalid: the YAML cannot be read; says where.
+            InvalidInput: the name is not usable.
+        """
+        body = checked(ProjectCreate, "The project", name=name, description=description, fields_yaml=fields_yaml)
+        return self._api.send("POST", "/projects", ProjectRead, body)
+
+    def update(
+        self,
+        project_id: uuid.UUID,
+        *,
+        name: str | None = None,
+        description: str | None = None,
+        fields_yaml: str | None = None,
+    ) -> ProjectRead:
+        """Change what is given and return the project.
+
+        Raises:
+            NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
+        """
+        given = {"name": name, "description": description, "fields_yaml": fields_yaml}
+        body = checked(
+            ProjectUpdate, "The project", **{key: value for key, value in given.items() if value is not None}
+        )
+        return self._api.patch(f"/projects/{project_id}", ProjectRead, body)
+
+    def delete(self, project_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+        """Move a project and all in it to the trash; with `dry_run`, only say what would go."""
+        answer = self._api.delete(f"/projects/{project_id}", query_of(None, dry_run=dry_run or None))
+        return self._api.understood(Deleted, "DELETE project", answer)
+
+    def template(self, project_id: uuid.UUID) -> MissionTemplate:
+        """Return the metadata YAML to fill in for the next mission, prefilled from the last one."""
+        return self._api.get(f"/projects/{project_id}/template", MissionTemplate)
+
+
+def project_label(project: ProjectRead) -> str:
+    """Return how a project is listed among candidates."""
+    return f"{project.name} ({project.id})"

@@ -1,0 +1,52 @@
+"""The trash, for programs."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._names import the_one
+from kleinkram.client._paging import pages
+from kleinkram.contract.names import is_id
+from kleinkram.contract.trash import TrashNoun, TrashRead
+
+
+class Trash:
+    """`client.trash`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(self, noun: TrashNoun | None = None) -> Iterator[TrashRead]:
+        """Yield what lies in the trash, latest first."""
+        return pages(self._api, "/trash", TrashRead, query_of(None, noun=noun.value if noun else None))
+
+    def get(self, ref: str | uuid.UUID, *, noun: TrashNoun | None = None) -> TrashRead:
+        """Return the thing in the trash with this id or name.
+
+        Raises:
+            NotFound: there is none.
+            AmbiguousName: several have that name.
+        """
+        rows = self.list(noun)
+        what = noun.value if noun else "deleted thing"
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return the_one(what, str(ref), rows, name=lambda row: str(row.id), label=trash_label)
+        return the_one(what, ref, rows, name=lambda row: row.name, label=trash_label)
+
+    def restore(self, noun: TrashNoun, noun_id: uuid.UUID) -> None:
+        """Put a deleted thing back where it was.
+
+        Raises:
+            NameTaken, FileExists: something else has its name now.
+            NotFound: it is not in the trash.
+        """
+        self._api.post_empty(f"/trash/{noun.value}/{noun_id}/restore")
+
+
+def trash_label(row: TrashRead) -> str:
+    """Return how a deleted thing is listed among candidates."""
+    return (
+        f"{row.noun.value} {row.place}/{row.name} ({row.id})"
+        if row.place
+        else f"{row.noun.value} {row.name} ({row.id})"
+    )
