@@ -28,7 +28,7 @@ def _head() -> str:
     return head
 
 
-HEAD = _head()
+HEAD = ScriptDirectory(str(_HERE)).get_current_head()
 
 
 async def at_head(db: Connection) -> bool:

@@ -32,6 +32,8 @@ upload = Table(
     Column("key", Text, nullable=False, unique=True),
     # The store's name for a multipart upload; null for a file of one part, which is one plain PUT.
     Column("multipart_id", Text),
+    # For a file of one part: the only checksum its address was ever signed for, so what arrived is what was named.
+    Column("signed_checksum", Text),
     Column("state", Text, nullable=False, server_default=UploadState.open.value),
     Column("sha256", LargeBinary),
     Column("crc64nvme", LargeBinary),
