@@ -1,0 +1,129 @@
+"""Life-cycle of a private S3 store: SeaweedFS's `weed mini`, on loopback, with one identity and no services but S3.
+
+Where other machines may come in, a second process (`weed s3`) listens for them, with TLS if wanted, so that master,
+volume and filer ports, which ask for no credentials, stay on loopback. Ready means: bytes written came back.
+"""
+
+import json
+import signal
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.standalone.child import Command, spawn
+from kleinkram.standalone.s3 import StoreAccess
+
+BUCKET = "kleinkram"
+STOP_SIGNAL = signal.SIGTERM
+_SERVICES = ("s3", "master", "volume", "filer", "admin")
+PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _SERVICES))
+
+# A loopback socket's path must fit into sockaddr_un.
+_LONGEST_SOCKET_PATH = 100
+
+
+@dataclass(frozen=True)
+class StoreFolder:
+    """Where one private store lives, its ports by `PORT_NAMES`, and its only identity."""
+
+    program: Path
+    data_dir: Path
+    folder: Path
+    log: Path
+    ports: dict[str, int]
+    access_key: str
+    secret_key: str
+
+    @property
+    def access(self) -> StoreAccess:
+        """The store as this machine reaches it."""
+        return StoreAccess(f"http://127.0.0.1:{self.ports['s3']}", self.access_key, self.secret_key)
+
+
+@dataclass(frozen=True)
+class PublicAddress:
+    """Where other machines reach the store: address and port to listen on, certificate and key for TLS."""
+
+    address: str
+    port: int
+    grpc_port: int
+    certificate: Path | None = None
+    key: Path | None = None
+
+
+def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
+    """Start the store on loopback. Returns before it is ready (see `s3.proves_ready`)."""
+    objects = store.folder / "objects"
+    objects.mkdir(parents=True, exist_ok=True)
+    # weed writes its flags there and takes them for ours at the next start.
+    (objects / "mini.options").unlink(missing_ok=True)
+    ports = store.ports
+    arguments = [
+        "mini",
+        f"-dir={objects}",
+        "-ip=127.0.0.1",
+        "-ip.bind=127.0.0.1",
+        *(f"-{part}.port={ports[part]}" for part in _SERVICES),
+        *(f"-{part}.port.grpc={ports[f'{part}_grpc']}" for part in _SERVICES),
+        "-s3.port.iceberg=0",
+        "-s3.port.lance=0",
+        f"-s3.config={_write_identities(store)}",
+        "-s3.autoCreateBucket=false",
+        f"-s3.localSocket={_socket(store, 's3')}",
+        f"-filer.localSocket={_socket(store, 'filer')}",
+        "-master.telemetry=false",
+        "-admin.ui=false",
+        "-webdav=false",
+    ]
+    return spawn(_as_child(store, arguments, memory_mib=500))
+
+
+def start_gateway(store: StoreFolder, public: PublicAddress) -> "subprocess.Popen[bytes]":
+    """Start the door for other machines: S3 only, on the public address, over the same objects."""
+    arguments = [
+        "s3",
+        f"-filer=127.0.0.1:{store.ports['filer']}.{store.ports['filer_grpc']}",
+        f"-ip.bind={public.address}",
+        f"-port={public.port}",
+        f"-port.grpc={public.grpc_port}",
+        "-port.iceberg=0",
+        "-port.lance=0",
+        f"-config={_write_identities(store)}",
+        "-autoCreateBucket=false",
+        f"-localSocket={_socket(store, 'gateway')}",
+    ]
+    if public.certificate and public.key:
+        arguments += [f"-cert.file={public.certificate}", f"-key.file={public.key}"]
+    return spawn(_as_child(store, arguments, memory_mib=200))
+
+
+def _as_child(store: StoreFolder, arguments: list[str], *, memory_mib: int) -> Command:
+    return Command(
+        arguments=[str(store.program), "-logtostderr=true", *arguments],
+        data_dir=store.data_dir,
+        log=store.log,
+        # GOGC=50 keeps the speed that a memory limit alone would cost.
+        environment={"GOMEMLIMIT": f"{memory_mib}MiB", "GOGC": "50"},
+        # Not where the caller stands: weed reads a security.toml from its working directory.
+        directory=store.folder,
+    )
+
+
+def _write_identities(store: StoreFolder) -> Path:
+    identity = {
+        "name": "kleinkram",
+        "credentials": [{"accessKey": store.access_key, "secretKey": store.secret_key}],
+        "actions": ["Admin", "Read", "Write", "List", "Tagging"],
+    }
+    path = store.folder / "identities.json"
+    path.touch(mode=0o600)
+    path.write_text(json.dumps({"identities": [identity]}))
+    return path
+
+
+def _socket(store: StoreFolder, name: str) -> Path:
+    path = store.folder / f"{name}.sock"
+    if len(str(path)) <= _LONGEST_SOCKET_PATH:
+        return path
+    return Path(tempfile.gettempdir()) / f"kleinkram-{name}-{store.ports['filer']}.sock"
