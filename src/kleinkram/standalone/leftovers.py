@@ -1,0 +1,83 @@
+"""Ending processes that an earlier supervisor of this data directory left, and the supervisor itself on request.
+
+A process is signalled only through a pidfd that was opened before its identity was checked: never a recycled pid.
+"""
+
+import contextlib
+import os
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+
+from kleinkram.standalone.data_dir import DataDir, is_held, read_holder
+from kleinkram.standalone.errors import NotRunning, PartFailed
+from kleinkram.standalone.procs import marked_processes, start_ticks
+
+_GRACE_S = 5.0
+
+
+def end_leftovers(data_dir: DataDir) -> int:
+    """End every process marked with this data directory; returns how many there were. The caller holds the lock.
+
+    Raises:
+        PartFailed: one of them does not end.
+    """
+    found = marked_processes(data_dir.root)
+    # SIGINT lets PostgreSQL close its files; what does not heed it within the grace is killed, and recovers.
+    for sign in (signal.SIGINT, signal.SIGKILL):
+        for pid in marked_processes(data_dir.root):
+            _signal_if(pid, sign, still_it=lambda pid=pid: pid in marked_processes(data_dir.root))
+        deadline = time.monotonic() + _GRACE_S
+        while marked_processes(data_dir.root) and time.monotonic() < deadline:
+            time.sleep(0.02)
+    stubborn = marked_processes(data_dir.root)
+    if stubborn:
+        raise PartFailed(
+            f"Processes {', '.join(map(str, stubborn))} of an earlier start on {data_dir.root} do not end: "
+            "restart the machine, or name another --data-dir."
+        )
+    return len(found)
+
+
+def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> None:
+    """Ask the supervisor of this data directory to stop all parts, and wait until it is gone.
+
+    Raises:
+        NotRunning: nothing runs there.
+        PartFailed: it does not end in time.
+    """
+    holder = read_holder(data_dir)
+    if holder is None or not is_held(data_dir):
+        raise NotRunning(f"Kleinkram does not run on {data_dir.root}: there is nothing to end.")
+    with _pidfd(holder.pid) as descriptor:
+        if descriptor is None or start_ticks(holder.pid) != holder.start_ticks:
+            return
+        signal.pidfd_send_signal(descriptor, signal.SIGTERM)
+        ended = select.poll()
+        ended.register(descriptor, select.POLLIN)
+        if not ended.poll(timeout_s * 1000):
+            raise PartFailed(
+                f"Kleinkram on {data_dir.root} (pid {holder.pid}) has not ended within {timeout_s:.0f} s: "
+                f"see {data_dir.root / 'logs'}; `kill -9 {holder.pid}` is safe, the next `klein up` recovers."
+            )
+
+
+@contextlib.contextmanager
+def _pidfd(pid: int) -> Iterator[int | None]:
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        yield None
+        return
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _signal_if(pid: int, sign: signal.Signals, *, still_it: Callable[[], bool]) -> None:
+    with _pidfd(pid) as descriptor:
+        if descriptor is not None and still_it():
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(descriptor, sign)
