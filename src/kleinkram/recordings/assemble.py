@@ -1,0 +1,105 @@
+"""From a filled timeline to topic summaries: spans, rates, head and tail gaps, suspect stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from kleinkram.recordings.limits import MAX_PROBLEMS
+from kleinkram.recordings.model import Problem, TopicSummary
+from kleinkram.recordings.timeline import Run, Timeline, TopicTimes, bulk, within
+
+
+class TopicType(NamedTuple):
+    """What a channel or connection says of its topic."""
+
+    message_type: str
+    schema_encoding: str
+    message_encoding: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The topics of one file, and its span."""
+
+    topics: tuple[TopicSummary, ...]
+    message_count: int
+    start_ns: int | None
+    end_ns: int | None
+    problems: tuple[Problem, ...]
+
+
+def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Measured:
+    """Turn a settled timeline into topics. `types`: of each topic, the distinct types in the order of the file."""
+    island = bulk(run for times in timeline.topics.values() for run in times.runs)
+    topics: list[TopicSummary] = []
+    problems: list[Problem] = []
+    for name in sorted(timeline.topics):
+        times = timeline.topics[name]
+        run = within(times.runs, island)
+        topic = _summarise_topic(name, types[name][0], times, run, island)
+        topics.append(topic)
+        problems += _problems_of_topic(topic, types[name], times)
+    return Measured(
+        topics=tuple(topics),
+        message_count=sum(times.count for times in timeline.topics.values()),
+        start_ns=island.first_ns if island else None,
+        end_ns=island.last_ns if island else None,
+        problems=tuple(problems),
+    )
+
+
+def _summarise_topic(
+    name: str, kind: TopicType, times: TopicTimes, run: Run | None, island: Run | None
+) -> TopicSummary:
+    return TopicSummary(
+        name=name,
+        message_type=kind.message_type,
+        schema_name=kind.message_type,
+        schema_encoding=kind.schema_encoding,
+        message_encoding=kind.message_encoding,
+        count=times.count,
+        first_ns=run.first_ns if run else None,
+        last_ns=run.last_ns if run else None,
+        rate_hz=rate_hz(run.count, run.first_ns, run.last_ns) if run else None,
+        longest_gap_ns=run.longest_gap_ns if run and run.count > 1 else None,
+        head_gap_ns=run.first_ns - island.first_ns if run and island else None,
+        tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
+        out_of_order_count=times.out_of_order,
+        stored_bytes=times.stored_bytes,
+        suspect_count=times.count - (run.count if run else 0),
+    )
+
+
+def rate_hz(count: int, first_ns: int, last_ns: int) -> float | None:
+    """Return (count - 1) / (last - first) in messages a second; None below two messages or without a span."""
+    if count < 2 or last_ns <= first_ns:
+        return None
+    return (count - 1) * 1e9 / (last_ns - first_ns)
+
+
+def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: TopicTimes) -> list[Problem]:
+    problems: list[Problem] = []
+    if topic.suspect_count:
+        message = (
+            f"{topic.suspect_count} messages are stamped more than a year away from the rest; left out of the span"
+        )
+        problems.append(Problem("suspect-stamps", topic.name, message))
+    if times.gaps_are_upper_bounds:
+        message = (
+            "its messages are too far out of order to say its longest gap for sure; the one given is the most it can be"
+        )
+        problems.append(Problem("gaps-upper-bound", topic.name, message))
+    if len(types) > 1:
+        names = ", ".join(kind.message_type or "(no type)" for kind in types)
+        problems.append(Problem("topic-types-differ", topic.name, f"published with different types: {names}"))
+    return problems
+
+
+def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:
+    """Cut a list of problems to what a person would read."""
+    if len(problems) <= MAX_PROBLEMS:
+        return tuple(problems)
+    left_out = len(problems) - MAX_PROBLEMS + 1
+    return (*problems[: MAX_PROBLEMS - 1], Problem("more-problems", "file", f"{left_out} more problems are not listed"))

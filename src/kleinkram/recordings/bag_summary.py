@@ -1,0 +1,200 @@
+"""The summary of a ROS 1 bag 2.0 from its own index: connections, chunk infos, and the index data behind each chunk.
+
+Reads no chunk and decompresses nothing: the index bytes of the file, 64 bytes a chunk, and at most 1 MB more. A bag
+without index (its recorder was killed) is broken here; reading it from end to end is another matter.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import accumulate
+
+from kleinkram.recordings import bag_records as records
+from kleinkram.recordings.assemble import TopicType, bounded, measure
+from kleinkram.recordings.bag_records import ChunkInfo, Connection
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import Source, read_ranges
+from kleinkram.recordings.stream import Cut, ForwardStream, open_bytes, open_range
+from kleinkram.recordings.timeline import ChunkEntries, Timeline
+
+_HEAD_WINDOW = 4096
+
+
+@dataclass
+class _Bag:
+    """What the index said so far."""
+
+    index_start: int
+    connections: dict[int, Connection] = field(default_factory=dict)
+    chunks: list[ChunkInfo] = field(default_factory=list)
+    compression: set[str] = field(default_factory=set)
+    timeline: Timeline = field(default_factory=Timeline)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def summarise_bag(source: Source) -> RecordingSummary:
+    """Summarise a file that begins with the magic of a ROS 1 bag 2.0.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    try:
+        index_start, connections, chunks = _read_bag_header(source)
+        bag = _Bag(index_start)
+        _read_index_section(source, bag, connections, chunks)
+        _read_chunk_indexes(source, bag)
+    except Malformed as error:
+        content = Content.broken if error.certain else Content.pending
+        return RecordingSummary(RecordingFormat.rosbag1, content, f"{error.message}, at {error.where}")
+    return _summary(bag)
+
+
+def _read_bag_header(source: Source) -> tuple[int, int, int]:
+    """Return where the index begins, and how many connections and chunks it lists."""
+    start = len(records.MAGIC)
+    stream = open_range(source, start, source.size_bytes, window=_HEAD_WINDOW)
+    fields, _data_bytes = records.read_fields(stream)
+    if fields.opcode() != records.BAG_HEADER:
+        raise Malformed(f"byte {start}", "the first record is not a bag header")
+    if fields.text("encryptor", ""):
+        raise Malformed(f"byte {start}", "the bag is encrypted", certain=False)
+    index_start = fields.u64("index_pos")
+    if index_start == 0:
+        raise Malformed(f"byte {start}", "the bag has no index: it was not closed by its recorder (index_pos is 0)")
+    if not start < index_start <= source.size_bytes:
+        where = f"byte {source.size_bytes}"
+        raise Malformed(where, f"the file is cut: its index should begin at byte {index_start}, where it has ended")
+    return index_start, fields.u32("conn_count"), fields.u32("chunk_count")
+
+
+def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int) -> None:
+    stream = open_range(source, bag.index_start, source.size_bytes)
+    left = connections + chunks
+    while left and not stream.at_end():
+        where = f"byte {stream.position}"
+        fields, data_bytes = records.read_fields(stream)
+        opcode = fields.opcode()
+        if data_bytes > MAX_TAKE:
+            raise Malformed(where, f"an index record of {data_bytes} bytes; at most {MAX_TAKE} are read", certain=False)
+        data = stream.take(data_bytes)
+        if opcode == records.CONNECTION:
+            number, connection = records.read_connection(fields, data, where)
+            bag.connections[number] = connection
+        elif opcode == records.CHUNK_INFO:
+            bag.chunks.append(records.read_chunk_info(fields, data, where))
+        else:
+            raise Malformed(where, f"a record of type {opcode} in the index")
+        if len(bag.connections) > MAX_TOPICS:
+            raise Malformed(where, f"more than {MAX_TOPICS} connections", certain=False)
+        left -= 1
+    if left:
+        raise Malformed(f"byte {source.size_bytes}", f"the file is cut within its index: {left} records are missing")
+    _check_places(bag)
+
+
+def _check_places(bag: _Bag) -> None:
+    bag.chunks.sort(key=lambda chunk: chunk.position)
+    end = len(records.MAGIC)
+    for chunk in bag.chunks:
+        if chunk.position < end or chunk.position + records.CHUNK_HEAD_BYTES // 2 > bag.index_start:
+            raise Malformed(f"byte {chunk.position}", "the index lists chunks that overlap, or lie outside the file")
+        end = chunk.position + 1
+
+
+def _read_chunk_indexes(source: Source, bag: _Bag) -> None:
+    for connection in bag.connections.values():
+        bag.timeline.topic(connection.topic)
+    still_to_come = list(accumulate((chunk.first_ns for chunk in reversed(bag.chunks)), min))
+    still_to_come.reverse()
+    for number, (chunk, head, stream) in enumerate(_chunk_streams(source, bag)):
+        bag.compression.add(head.compression)
+        entries = _read_chunk_entries(stream, bag, chunk)
+        bag.timeline.add_chunk(entries, uncompressed_bytes=head.uncompressed_bytes, stored_bytes=head.data_bytes)
+        bag.timeline.settle(still_to_come[number + 1] if number + 1 < len(bag.chunks) else None)
+
+
+def _chunk_streams(source: Source, bag: _Bag) -> Iterator[tuple[ChunkInfo, records.ChunkHead, ForwardStream]]:
+    """Yield each chunk with its header and its index data.
+
+    The index data of a chunk end where the next chunk begins, and their size follows from the chunk info. So one read
+    fetches them together with the next chunk's header; where a writer does otherwise, the header says where they are.
+    """
+    if not bag.chunks:
+        return
+    reads = _plan_reads(bag)
+    answers = read_ranges(source, ((start, stop - start) for _, start, stop in reads))
+    head_bytes = next(answers)
+    for chunk, (end, start, _stop), answer in zip(bag.chunks, reads[1:], answers, strict=True):
+        head = _parse_head(source, chunk.position, head_bytes)
+        index_start = chunk.position + head.data_start + head.data_bytes
+        if index_start > end:
+            raise Malformed(f"byte {chunk.position}", "a chunk reaches into the next one, or into the index")
+        if index_start == start:
+            yield chunk, head, open_bytes(answer[: end - start], start)
+        else:
+            yield chunk, head, open_range(source, index_start, end)
+        head_bytes = answer[end - start :]
+
+
+def _plan_reads(bag: _Bag) -> list[tuple[int, int, int]]:
+    """Return (end of the index data, start, stop) of each read: the first chunk's header, then one read a chunk."""
+    first = bag.chunks[0].position
+    head = records.CHUNK_HEAD_BYTES
+    reads = [(first, first, min(first + head, bag.index_start))]
+    ends = [*(chunk.position for chunk in bag.chunks[1:]), bag.index_start]
+    for chunk, end in zip(bag.chunks, ends, strict=True):
+        size = min(chunk.index_bytes, end - chunk.position)
+        reads.append((end, end - size if size <= WINDOW else end, min(end + head, bag.index_start)))
+    return reads
+
+
+def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.ChunkHead:
+    try:
+        return records.read_chunk_head(open_bytes(head_bytes, position))
+    except Cut:
+        return records.read_chunk_head(open_range(source, position, source.size_bytes, window=_HEAD_WINDOW))
+
+
+def _read_chunk_entries(stream: ForwardStream, bag: _Bag, chunk: ChunkInfo) -> list[ChunkEntries]:
+    by_topic: dict[str, ChunkEntries] = {}
+    counts: dict[int, int] = {}
+    while not stream.at_end():
+        where = f"byte {stream.position}"
+        number, stamps, offsets = records.read_index_data(stream)
+        connection = bag.connections.get(number)
+        if connection is None:
+            raise Malformed(where, f"index data of connection {number}, which the bag does not define")
+        counts[number] = counts.get(number, 0) + len(stamps)
+        known = by_topic.get(connection.topic)
+        if known is not None:
+            stamps, offsets = [*known.stamps, *stamps], array("I", known.offsets) + offsets
+        by_topic[connection.topic] = ChunkEntries(connection.topic, stamps, offsets)
+    if counts != {number: count for number, count in chunk.counts.items() if count or number in counts}:
+        message = f"its index data list {sum(counts.values())} messages, the chunk info {sum(chunk.counts.values())}"
+        bag.problems.append(Problem("counts-disagree", f"chunk at byte {chunk.position}", message))
+    return list(by_topic.values())
+
+
+def _summary(bag: _Bag) -> RecordingSummary:
+    types: dict[str, list[TopicType]] = {}
+    for connection in bag.connections.values():
+        kind = TopicType(connection.message_type, "ros1msg", "ros1")
+        known = types.setdefault(connection.topic, [])
+        if kind not in known:
+            known.append(kind)
+    measured = measure(bag.timeline, types)
+    return RecordingSummary(
+        format=RecordingFormat.rosbag1,
+        content=Content.indexed,
+        message_count=measured.message_count,
+        start_ns=measured.start_ns,
+        end_ns=measured.end_ns,
+        compression=tuple(sorted(bag.compression)),
+        topics=measured.topics,
+        problems=bounded([*bag.problems, *measured.problems]),
+        profile="ros1",
+    )

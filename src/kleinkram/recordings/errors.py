@@ -1,0 +1,64 @@
+"""What can go wrong around a recording, by name.
+
+The content of a file never raises to a caller: it becomes `content` and `reason` of a summary. These errors are about
+reading at all, or about the child process that reads.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class RecordingError(Exception):
+    """Something about reading a recording failed."""
+
+
+class SourceError(RecordingError):
+    """The bytes of a recording could not be read (disk, network, store): not the file's fault, worth a retry."""
+
+
+class FailureKind(str, Enum):
+    """Why a child process gave no summary."""
+
+    memory = "memory"
+    time = "time"
+    crash = "crash"
+    source = "source"
+
+
+class SummaryFailed(RecordingError):
+    """The process that reads a recording gave no summary: it ran out of memory or time, crashed, or could not read.
+
+    Attributes:
+        kind: which of these.
+        signal: the signal that ended the child, or None.
+    """
+
+    def __init__(self, message: str, *, kind: FailureKind, signal: int | None = None) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.signal = signal
+
+
+class Malformed(RecordingError):
+    """The bytes contradict their format at a known place. Never leaves `recordings`.
+
+    Attributes:
+        where: the place in words, such as "byte 4117".
+        certain: the structure itself says the file is damaged, rather than only that we cannot follow it.
+    """
+
+    def __init__(self, where: str, message: str, *, certain: bool = True) -> None:
+        super().__init__(f"{message} ({where})")
+        self.where = where
+        self.message = message
+        self.certain = certain
+
+
+class NotIndexed(RecordingError):
+    """The file has no index that can be used, so that it must be read whole. Never leaves `recordings`."""
+
+    def __init__(self, code: str, message: str, *, is_problem: bool) -> None:
+        super().__init__(message)
+        self.code = code
+        self.is_problem = is_problem

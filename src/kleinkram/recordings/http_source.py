@@ -1,0 +1,103 @@
+"""A source over HTTP ranges, such as a presigned URL of an S3 store.
+
+Reads nothing but the ranges it is asked for, follows no redirect, sends no credential, and says no more of the URL
+than its host in errors: a presigned URL is a secret.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from urllib.parse import urlsplit
+
+import urllib3
+from urllib3.exceptions import HTTPError
+
+from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.limits import PARALLEL_READS
+from kleinkram.recordings.sources import check_range
+
+ATTEMPTS = 4
+FIRST_PAUSE_S = 0.1
+TIMEOUT = urllib3.Timeout(connect=10, read=30)
+
+
+class HttpSource:
+    """The bytes behind a URL that answers `Range` requests.
+
+    Attributes:
+        bytes_read: bytes returned so far.
+        reads: calls so far (retries not counted).
+    """
+
+    parallel_reads = PARALLEL_READS
+
+    def __init__(self, url: str, *, size_bytes: int, name: str, pool: urllib3.PoolManager | None = None) -> None:
+        self.name = name
+        self.size_bytes = size_bytes
+        self.bytes_read = 0
+        self.reads = 0
+        self._url = url
+        self._host = urlsplit(url).netloc.rpartition("@")[2]
+        self._lock = threading.Lock()
+        self._pool = pool or urllib3.PoolManager(maxsize=PARALLEL_READS, retries=False, timeout=TIMEOUT)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`; a lost connection or a 5xx is tried again.
+
+        Raises:
+            SourceError: refused, or no answer after a few attempts.
+        """
+        check_range(self, offset, length)
+        if length == 0:
+            return b""
+        data = self._fetch_stubbornly(offset, length)
+        with self._lock:
+            self.bytes_read += length
+            self.reads += 1
+        return data
+
+    def _fetch_stubbornly(self, offset: int, length: int, attempt: int = 1) -> bytes:
+        try:
+            return self._fetch(offset, length)
+        except _Retryable as error:
+            if attempt == ATTEMPTS:
+                raise SourceError(f"{self.name}: {error} (tried {ATTEMPTS} times)") from error
+        time.sleep(FIRST_PAUSE_S * 2 ** (attempt - 1))
+        return self._fetch_stubbornly(offset, length, attempt + 1)
+
+    def _fetch(self, offset: int, length: int) -> bytes:
+        span = f"bytes={offset}-{offset + length - 1}"
+        headers = {"Range": span, "Accept-Encoding": "identity"}
+        try:
+            response = self._pool.request(
+                "GET", self._url, headers=headers, redirect=False, retries=False, preload_content=False
+            )
+            try:
+                self._check_answer(response, offset, length)
+                data = response.read(length)
+            finally:
+                response.drain_conn() if response.status == 206 else response.close()
+                response.release_conn()
+        except HTTPError as error:
+            raise _Retryable(f"no answer from {self._host}: {type(error).__name__}") from error
+        if len(data) != length:
+            raise _Retryable(f"{self._host} sent {len(data)} of {length} bytes at byte {offset}")
+        return data
+
+    def _check_answer(self, response: urllib3.BaseHTTPResponse, offset: int, length: int) -> None:
+        status = response.status
+        if status >= 500 or status == 429:
+            raise _Retryable(f"{self._host} answered {status}")
+        if status == 200:
+            raise SourceError(f"{self.name}: {self._host} ignores range requests (it answered 200, not 206)")
+        if status != 206:
+            raise SourceError(f"{self.name}: {self._host} refused bytes {offset}+{length} with {status}")
+        expected = f"bytes {offset}-{offset + length - 1}/{self.size_bytes}"
+        got = response.headers.get("Content-Range", "")
+        if got != expected:
+            raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was asked for")
+
+
+class _Retryable(Exception):
+    """The same request may succeed next time."""

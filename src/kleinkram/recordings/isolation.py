@@ -1,0 +1,114 @@
+"""Summaries of untrusted files, made in a child process that is bounded in memory and time and holds no credential.
+
+`summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
+writes `request_bytes(...)` to its stdin, and hands what came back to `read_answer`.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from kleinkram.recordings.errors import FailureKind, SummaryFailed
+from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.serialise import from_dict
+
+CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.child")
+"""`-I`: the child takes no module from the working directory, and nothing from the environment."""
+
+CHILD_ENVIRONMENT: dict[str, str] = {"LC_ALL": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
+"""One malloc arena: each thread's own would reserve 64 MB of the address space that the child may use."""
+
+DEFAULT_MEMORY_BYTES = 512 * 2**20
+DEFAULT_TIMEOUT_S = 120
+_SENTENCES = {
+    FailureKind.memory: "it needs more memory to be read than is allowed",
+    FailureKind.time: "it takes longer to be read than is allowed",
+    FailureKind.crash: "reading it failed",
+    FailureKind.source: "its bytes cannot be read",
+}
+
+
+@dataclass(frozen=True)
+class FileRequest:
+    """Summarise a local file."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class UrlRequest:
+    """Summarise the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension."""
+
+    url: str
+    size_bytes: int
+    name: str
+
+
+SummaryRequest = FileRequest | UrlRequest
+
+
+def request_bytes(
+    request: SummaryRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+) -> bytes:
+    """Return what the child reads from stdin, to its end."""
+    fields = {**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    return json.dumps(fields).encode()
+
+
+def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
+    """Return the summary from what the child left behind.
+
+    Raises:
+        SummaryFailed: there is none; says why.
+    """
+    if returncode == -signal.SIGXCPU:
+        raise _failure(FailureKind.time, "", signal.SIGXCPU)
+    if returncode < 0:
+        raise _failure(FailureKind.crash, f"the process was ended by signal {-returncode}", -returncode)
+    if returncode != 0:
+        kind = FailureKind.memory if b"MemoryError" in stderr else FailureKind.crash
+        lines = stderr.decode("utf-8", "replace").strip().splitlines()
+        raise _failure(kind, lines[-1] if lines else f"exit code {returncode}")
+    try:
+        answer = json.loads(stdout)
+        if "failed" in answer:
+            raise _failure(FailureKind(answer["failed"]), answer.get("message", ""))
+        return from_dict(answer["summary"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise _failure(FailureKind.crash, "its answer cannot be understood") from error
+
+
+def timed_out() -> SummaryFailed:
+    """Return the error for a child that was stopped after its time."""
+    return _failure(FailureKind.time, "")
+
+
+def summarise_isolated(
+    request: SummaryRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+) -> RecordingSummary:
+    """Summarise in a child process, and wait for it.
+
+    Raises:
+        SummaryFailed: out of memory or time, crashed, or the bytes could not be read.
+    """
+    try:
+        done = subprocess.run(
+            CHILD_COMMAND,
+            input=request_bytes(request, memory_bytes=memory_bytes, timeout_s=timeout_s),
+            capture_output=True,
+            timeout=timeout_s,
+            env=CHILD_ENVIRONMENT,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise timed_out() from None
+    return read_answer(done.stdout, done.stderr, done.returncode)
+
+
+def _failure(kind: FailureKind, detail: str, ended_by: int | None = None) -> SummaryFailed:
+    sentence = _SENTENCES[kind]
+    return SummaryFailed(f"{sentence}: {detail}" if detail else sentence, kind=kind, signal=ended_by)

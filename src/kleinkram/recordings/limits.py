@@ -1,0 +1,46 @@
+"""Every bound on what a file may claim, in one place.
+
+A length in a file is only a claim: nothing is allocated, read or looped over on its word beyond these. All of them
+together keep a summary below about 64 MB plus 60 bytes a chunk of the index.
+"""
+
+from __future__ import annotations
+
+MAX_READ = 16 * 2**20
+"""Bytes that one `Source.read` may ask for."""
+
+WINDOW = 2**20
+"""Bytes that a sequential reader asks for at a time."""
+
+TAIL = 64 * 2**10
+"""Bytes read at the end of a file at once, hoping that they hold the whole summary."""
+
+MAX_TAKE = 8 * 2**20
+"""Bytes of one record that are held in memory (index records, connection headers, the head of any other record)."""
+
+MAX_NAME = 4096
+"""Bytes of a topic, type, encoding or library name."""
+
+MAX_TOPICS = 20_000
+"""Topics of one file. MCAP can count to 65535 channels, a bag to 2^32 connections."""
+
+MAX_CHUNKS = 16_000_000
+"""Chunks of one file: 16 TB in chunks of 1 MB."""
+
+MAX_PENDING_STAMPS = 3_000_000
+"""Log times held until it is sure that no earlier one follows (8 bytes each)."""
+
+MAX_SCAN_BYTES = 16 * 2**30
+"""Bytes of a file without index that a summary reads; a larger one stays pending for a scan."""
+
+MAX_ZSTD_WINDOW = 2**26
+"""Memory that a zstd frame may demand of its reader."""
+
+MAX_PROBLEMS = 50
+"""Problems that a summary lists; the last one then says how many were left out."""
+
+MAX_HEADER = 2**20
+"""Bytes of a bag record's header."""
+
+PARALLEL_READS = 8
+"""Ranges in flight over a network."""

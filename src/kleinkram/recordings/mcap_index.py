@@ -1,0 +1,210 @@
+"""The summary of an MCAP from its own index: footer, summary section, and the message indexes behind each chunk.
+
+Reads no chunk and decompresses nothing; costs the index bytes of the file and at most 1 MB more. Where the index
+cannot be used, or does not add up, it raises `NotIndexed`, and the file is scanned (`mcap_scan`).
+"""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import accumulate
+
+from kleinkram.recordings import mcap_records as records
+from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.limits import MAX_TAKE, TAIL, WINDOW
+from kleinkram.recordings.mcap_records import McapFacts
+from kleinkram.recordings.sources import Source, read_ranges
+from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
+from kleinkram.recordings.timeline import ChunkEntries, Timeline
+
+_HEAD_OF_DEFINITION = 3 * 4096 + 16
+_MOST_RECORDS_WALKED = 10_000
+_READERS = {
+    records.CHUNK_INDEX: records.read_chunk_index,
+    records.STATISTICS: records.read_statistics,
+}
+_DEFINITIONS = {
+    records.SCHEMA: records.read_schema,
+    records.CHANNEL: records.read_channel,
+}
+
+
+@dataclass(frozen=True)
+class Footer:
+    """The end of an MCAP: where the summary section begins (0: there is none), and its CRC-32 (0: not kept)."""
+
+    start: int
+    summary_start: int
+    summary_crc: int
+
+
+def read_footer(source: Source) -> Footer | None:
+    """Return the footer; None if the file does not end in one."""
+    size = source.size_bytes
+    if size < 2 * len(records.MAGIC) + records.FOOTER_BYTES:
+        return None
+    tail = source.read(size - records.FOOTER_BYTES, records.FOOTER_BYTES)
+    opcode, length = records.RECORD_HEAD.unpack_from(tail)
+    if opcode != records.FOOTER or length != records.FOOTER_BODY.size or not tail.endswith(records.MAGIC):
+        return None
+    summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, records.RECORD_HEAD.size)
+    return Footer(size - records.FOOTER_BYTES, summary_start, crc)
+
+
+def read_index(source: Source, footer: Footer, timeline: Timeline) -> McapFacts:
+    """Fill the timeline from the file's own index, and return what else it says.
+
+    Raises:
+        NotIndexed: there is no index, or it cannot be true.
+        SourceError: as `Source.read`.
+    """
+    facts = McapFacts()
+    try:
+        _read_summary_section(source, footer, facts)
+        _check_definitions(facts)
+        _check_places(facts, footer)
+        _read_message_indexes(source, facts, timeline)
+        if facts.statistics is None:
+            _refuse_messages_outside_chunks(source, facts, footer)
+    except Malformed as error:
+        raise NotIndexed("index-damaged", f"the index cannot be used: {error}", is_problem=True) from error
+    _compare_with_statistics(facts, timeline)
+    return facts
+
+
+def _read_summary_section(source: Source, footer: Footer, facts: McapFacts) -> None:
+    if footer.summary_start == 0:
+        raise NotIndexed("no-summary", "the file has no summary section", is_problem=False)
+    if not len(records.MAGIC) < footer.summary_start <= footer.start:
+        raise Malformed(f"byte {footer.start}", f"the summary is said to begin at byte {footer.summary_start}")
+    length = footer.start - footer.summary_start
+    if length <= TAIL:
+        stream = open_bytes(source.read(footer.summary_start, length), footer.summary_start)
+    else:
+        stream = open_range(source, footer.summary_start, footer.start)
+    if footer.summary_crc:
+        stream.start_crc()
+    while not stream.at_end():
+        _read_summary_record(stream, facts)
+    if footer.summary_crc:
+        rest = source.read(footer.start, records.RECORD_HEAD.size + records.FOOTER_BODY.size - 4)
+        if zlib.crc32(rest, stream.crc) != footer.summary_crc:
+            raise Malformed(f"byte {footer.summary_start}", "the checksum of the summary section is wrong")
+
+
+def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
+    where = f"byte {stream.position}"
+    opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+    if opcode in _READERS:
+        _READERS[opcode](facts, stream.take(length), where)
+        return
+    if opcode in _DEFINITIONS:
+        head = stream.take(min(length, _HEAD_OF_DEFINITION))
+        _DEFINITIONS[opcode](facts, head, where)
+        length -= len(head)
+    elif opcode == records.ATTACHMENT_INDEX:
+        facts.attachments += 1
+    elif opcode == records.METADATA_INDEX:
+        facts.metadata_records += 1
+    stream.skip(length)
+
+
+def _check_definitions(facts: McapFacts) -> None:
+    statistics = facts.statistics
+    if statistics is not None:
+        facts.attachments, facts.metadata_records = statistics.attachments, statistics.metadata_records
+        if len(facts.channels) < statistics.channels:
+            raise NotIndexed("no-channels", "the summary does not list all channels", is_problem=False)
+    if any(c.schema_id and c.schema_id not in facts.schemas for c in facts.channels.values()):
+        raise NotIndexed("no-schemas", "the summary does not list all schemas", is_problem=False)
+    if len(facts.chunks) == 0 and (statistics is None or statistics.messages):
+        raise NotIndexed("no-chunk-index", "the file has no chunk index", is_problem=False)
+
+
+def _check_places(facts: McapFacts, footer: Footer) -> None:
+    facts.chunks.sort()
+    end = len(records.MAGIC)
+    for place in facts.chunks:
+        if place.start < end:
+            raise Malformed(f"byte {place.start}", "the chunk index lists chunks that overlap")
+        if place.end > footer.summary_start:
+            raise Malformed(f"byte {place.start}", "the chunk index points behind the data")
+        end = place.end
+
+
+def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline) -> None:
+    for channel in facts.channels.values():
+        timeline.topic(channel.topic)
+    starts = facts.chunks.column("first_ns")
+    still_to_come = array("Q", accumulate(reversed(starts), min))
+    still_to_come.reverse()
+    for number, (place, stream) in enumerate(zip(facts.chunks, _index_streams(source, facts), strict=True)):
+        entries = _read_chunk_entries(stream, facts)
+        timeline.add_chunk(entries, uncompressed_bytes=place.uncompressed_bytes, stored_bytes=place.compressed_bytes)
+        timeline.settle(still_to_come[number + 1] if number + 1 < len(still_to_come) else None)
+
+
+def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
+    """Yield the message indexes of each chunk; over a network, those of the next few are fetched meanwhile."""
+    if any(place.end - place.index_start > WINDOW for place in facts.chunks):
+        for place in facts.chunks:
+            yield open_range(source, place.index_start, place.end)
+        return
+    ranges = ((place.index_start, place.end - place.index_start) for place in facts.chunks)
+    for place, data in zip(facts.chunks, read_ranges(source, ranges), strict=True):
+        yield open_bytes(data, place.index_start)
+
+
+def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEntries]:
+    by_topic: dict[str, ChunkEntries] = {}
+    while not stream.at_end():
+        where = f"byte {stream.position}"
+        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+        if opcode != records.MESSAGE_INDEX:
+            raise Malformed(where, f"a record of type {opcode} where a message index should be")
+        if length > MAX_TAKE:
+            raise Malformed(where, f"a message index of {length} bytes; at most {MAX_TAKE} are read", certain=False)
+        channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
+        channel = facts.channels.get(channel_id)
+        if channel is None:
+            raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
+        known = by_topic.get(channel.topic)
+        if known is not None:
+            stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
+        by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
+    return list(by_topic.values())
+
+
+def _compare_with_statistics(facts: McapFacts, timeline: Timeline) -> None:
+    """Refuse an index that does not account for all messages, or that a chunk is missing from."""
+    found = sum(times.count for times in timeline.topics.values())
+    if facts.statistics is None:
+        if any(place.uncompressed_bytes and place.index_start == place.end for place in facts.chunks):
+            raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
+    elif found == 0 and facts.statistics.messages:
+        raise NotIndexed("no-message-index", "the file has no message index", is_problem=False)
+    elif found != facts.statistics.messages:
+        claimed = facts.statistics.messages
+        message = f"the statistics say {claimed} messages, the index lists {found}"
+        raise NotIndexed("counts-disagree", message, is_problem=True)
+
+
+def _refuse_messages_outside_chunks(source: Source, facts: McapFacts, footer: Footer) -> None:
+    """Without statistics, walk over what no chunk covers: messages may stand there, which no index lists."""
+    position = len(records.MAGIC)
+    walked = 0
+    ends = {place.start: place.end for place in facts.chunks}
+    while position < footer.summary_start:
+        if position in ends:
+            position = ends[position]
+            continue
+        walked += 1
+        opcode, length = records.RECORD_HEAD.unpack(source.read(position, records.RECORD_HEAD.size))
+        if opcode in (records.MESSAGE, records.CHUNK) or walked > _MOST_RECORDS_WALKED:
+            raise NotIndexed("no-statistics", "the index does not list all messages", is_problem=False)
+        if opcode == records.DATA_END:
+            return
+        position += records.RECORD_HEAD.size + length

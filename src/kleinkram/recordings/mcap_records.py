@@ -1,0 +1,232 @@
+"""The records of MCAP: what stands in a record's body. No reading of files, no judgement of whole files.
+
+Source: MCAP format specification, version 0 (mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from operator import le
+from typing import NamedTuple
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_CHUNKS, MAX_NAME, MAX_TOPICS
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+RECORD_HEAD = struct.Struct("<BQ")
+FOOTER_BODY = struct.Struct("<QQI")
+FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
+_STATISTICS = struct.Struct("<QHIIIIQQ")
+_CHUNK_PLACE = struct.Struct("<QQQQ")
+
+
+class Schema(NamedTuple):
+    """A message type, without its text."""
+
+    name: str
+    encoding: str
+
+
+class Channel(NamedTuple):
+    """A topic as one publisher writes it."""
+
+    schema_id: int
+    topic: str
+    message_encoding: str
+
+
+class Statistics(NamedTuple):
+    """What the writer counted."""
+
+    messages: int
+    channels: int
+    attachments: int
+    metadata_records: int
+    messages_by_channel: dict[int, int]
+
+
+class ChunkPlace(NamedTuple):
+    """A chunk and its message indexes in the file: [start, index_start) and [index_start, end)."""
+
+    start: int
+    index_start: int
+    end: int
+    first_ns: int
+    compressed_bytes: int
+    uncompressed_bytes: int
+
+
+class ChunkTable:
+    """Places of chunks, 48 bytes each."""
+
+    _STRIDE = len(ChunkPlace._fields)
+
+    def __init__(self) -> None:
+        self._flat = array("Q")
+
+    def __len__(self) -> int:
+        return len(self._flat) // self._STRIDE
+
+    def __getitem__(self, number: int) -> ChunkPlace:
+        at = number * self._STRIDE
+        return ChunkPlace(*self._flat[at : at + self._STRIDE])
+
+    def __iter__(self) -> Iterator[ChunkPlace]:
+        return (self[number] for number in range(len(self)))
+
+    def append(self, place: ChunkPlace) -> None:
+        """Add a chunk.
+
+        Raises:
+            Malformed: a number that no file can hold, or more than `MAX_CHUNKS`.
+        """
+        if len(self) >= MAX_CHUNKS:
+            raise Malformed("summary", f"more than {MAX_CHUNKS} chunks", certain=False)
+        try:
+            self._flat.extend(place)
+        except OverflowError:
+            del self._flat[len(self) * self._STRIDE :]
+            raise Malformed("summary", "a chunk index points beyond any file") from None
+
+    def column(self, name: str) -> array[int]:
+        """Return one field of all chunks, in order."""
+        return self._flat[ChunkPlace._fields.index(name) :: self._STRIDE]
+
+    def sort(self) -> None:
+        """Bring the chunks into the order of the file."""
+        starts = self.column("start")
+        if all(map(le, starts, starts[1:])):
+            return
+        ordered = array("Q")
+        for number in sorted(range(len(self)), key=starts.__getitem__):
+            ordered.extend(self[number])
+        self._flat = ordered
+
+
+@dataclass
+class McapFacts:
+    """What the records of one file said so far."""
+
+    library: str = ""
+    profile: str = ""
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    statistics: Statistics | None = None
+    chunks: ChunkTable = field(default_factory=ChunkTable)
+    compression: set[str] = field(default_factory=set)
+    attachments: int = 0
+    metadata_records: int = 0
+
+
+class BodyReader:
+    """Fields of one record's body, in order.
+
+    Raises:
+        Malformed: from every method, where a field reaches beyond the body.
+    """
+
+    def __init__(self, body: bytes, where: str) -> None:
+        self._body = body
+        self._at = 0
+        self._where = where
+
+    def fields(self, layout: struct.Struct) -> tuple[int, ...]:
+        """Read fixed fields."""
+        self._need(layout.size)
+        values: tuple[int, ...] = layout.unpack_from(self._body, self._at)
+        self._at += layout.size
+        return values
+
+    def text(self) -> str:
+        """Read a string; bytes that are not UTF-8 are replaced, so that a name can always be shown."""
+        (length,) = self.fields(_U32)
+        if length > MAX_NAME:
+            raise Malformed(self._where, f"a name of {length} bytes; at most {MAX_NAME} are read", certain=False)
+        return self.blob(length).decode("utf-8", "replace")
+
+    def blob(self, length: int) -> bytes:
+        """Read `length` bytes."""
+        self._need(length)
+        data = self._body[self._at : self._at + length]
+        self._at += length
+        return data
+
+    def counted(self) -> bytes:
+        """Read bytes that follow their length."""
+        (length,) = self.fields(_U32)
+        return self.blob(length)
+
+    def _need(self, length: int) -> None:
+        if self._at + length > len(self._body):
+            raise Malformed(self._where, "a field reaches beyond its record")
+
+
+_U16 = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
+_PAIR_U16 = struct.Struct("<HH")
+_PAIR_U64 = struct.Struct("<QQ")
+
+
+def read_header(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note profile and library."""
+    reader = BodyReader(body, where)
+    facts.profile = reader.text()
+    facts.library = reader.text()
+
+
+def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note a schema. Only the head of the body is looked at, so it may be cut behind the encoding."""
+    reader = BodyReader(body, where)
+    (schema_id,) = reader.fields(_U16)
+    facts.schemas[schema_id] = Schema(reader.text(), reader.text())
+
+
+def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note a channel. Only the head of the body is looked at, so it may be cut behind the encoding."""
+    reader = BodyReader(body, where)
+    channel_id, schema_id = reader.fields(_PAIR_U16)
+    if channel_id not in facts.channels and len(facts.channels) >= MAX_TOPICS:
+        raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
+    facts.channels[channel_id] = Channel(schema_id, reader.text(), reader.text())
+
+
+def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note the statistics."""
+    reader = BodyReader(body, where)
+    messages, _schemas, channels, attachments, metadata_records, _chunks, _start, _end = reader.fields(_STATISTICS)
+    counts = reader.counted()
+    by_channel = dict(struct.iter_unpack("<HQ", counts[: len(counts) // 10 * 10]))
+    facts.statistics = Statistics(messages, channels, attachments, metadata_records, by_channel)
+
+
+def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note where a chunk and its message indexes stand."""
+    reader = BodyReader(body, where)
+    first_ns, _last_ns, start, length = reader.fields(_CHUNK_PLACE)
+    reader.counted()
+    (index_length,) = reader.fields(_U64)
+    facts.compression.add(reader.text() or "none")
+    compressed, uncompressed = reader.fields(_PAIR_U64)
+    index_start = start + length
+    place = ChunkPlace(start, index_start, index_start + index_length, first_ns, compressed, uncompressed)
+    facts.chunks.append(place)
+
+
+def read_message_index(body: bytes, where: str) -> tuple[int, array[int], array[int]]:
+    """Return channel id, log times and offsets (in the uncompressed chunk) of a message index."""
+    reader = BodyReader(body, where)
+    (channel_id,) = reader.fields(_U16)
+    entries = reader.counted()
+    if len(entries) % 16:
+        raise Malformed(where, "a message index that ends within an entry")
+    flat = array("Q", entries)
+    if sys.byteorder == "big":
+        flat.byteswap()
+    return channel_id, flat[0::2], flat[1::2]

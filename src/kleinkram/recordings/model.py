@@ -1,0 +1,123 @@
+"""The nouns of recordings: what a summary says. Values only, no behaviour, no input or output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class RecordingFormat(str, Enum):
+    """What a file is, by its content."""
+
+    mcap = "mcap"
+    rosbag1 = "rosbag1"
+    rosbag1_old = "rosbag1-old"
+    rosbag2_db3 = "db3"
+    rosbag2_metadata = "rosbag2-metadata"
+    zstd = "zstd"
+    ulog = "ulog"
+    svo = "svo"
+    tum = "tum"
+    kitti = "kitti"
+    yaml = "yaml"
+    csv = "csv"
+    empty = "empty"
+    unknown = "unknown"
+
+
+class Content(str, Enum):
+    """How far the content of a file is known.
+
+    pending: a recording, not read yet. indexed: known. recovered: known as far as it could be saved. broken: the
+    file's fault, and the reason says where. opaque: not a recording that we read. error: ours; will be tried again.
+    """
+
+    pending = "pending"
+    indexed = "indexed"
+    recovered = "recovered"
+    broken = "broken"
+    opaque = "opaque"
+    error = "error"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something a person should know about a file that can be read all the same.
+
+    Attributes:
+        code: short and stable, for programs.
+        where: a topic, a place in the file, or the file's name.
+        message: a sentence for people.
+    """
+
+    code: str
+    where: str
+    message: str
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """One topic of a recording. Times are integer nanoseconds of the log clock; None: not known or not defined.
+
+    Attributes:
+        count: messages, suspect ones included.
+        first_ns: earliest log time that is not suspect.
+        last_ns: latest log time that is not suspect.
+        rate_hz: (count - 1) / (last - first) of the messages that are not suspect; None below two of them.
+        longest_gap_ns: longest silence between two messages that follow each other in time. Never smaller than the
+            truth; larger only where the problem "gaps-upper-bound" says so.
+        head_gap_ns: silence between the start of the recording and the first message.
+        tail_gap_ns: silence between the last message and the end of the recording.
+        out_of_order_count: messages whose log time is smaller than the largest before them on this topic, in the
+            order in which they stand in the file (by chunk, then by offset in the chunk).
+        stored_bytes: share of the stored (compressed) chunks, by the uncompressed bytes of its message records.
+        suspect_count: messages whose log time cannot be true (see `timeline`).
+    """
+
+    name: str
+    message_type: str
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    count: int | None
+    first_ns: int | None = None
+    last_ns: int | None = None
+    rate_hz: float | None = None
+    longest_gap_ns: int | None = None
+    head_gap_ns: int | None = None
+    tail_gap_ns: int | None = None
+    out_of_order_count: int | None = None
+    stored_bytes: int | None = None
+    suspect_count: int = 0
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """What is in one file, or in all files of one recording (`combine`).
+
+    Attributes:
+        reason: why `content` is not `indexed`, in words for people.
+        message_count: None where it is not known; for a broken file, the messages found before the damage.
+        start_ns: earliest log time, inclusive, suspect ones left out.
+        end_ns: latest log time, inclusive, suspect ones left out.
+        compression: the kinds of compression of the chunks, sorted: "none", "lz4", "zstd", "bz2".
+        topics: sorted by name.
+        library: what wrote the file, as it says.
+        profile: the MCAP profile, such as "ros2".
+        bytes_read: what this summary cost.
+    """
+
+    format: RecordingFormat
+    content: Content
+    reason: str | None = None
+    message_count: int | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+    compression: tuple[str, ...] = ()
+    topics: tuple[TopicSummary, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    library: str = ""
+    profile: str = ""
+    attachments: int = 0
+    metadata_records: int = 0
+    bytes_read: int = 0

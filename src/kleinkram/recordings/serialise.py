@@ -1,0 +1,34 @@
+"""Summaries as plain JSON values and back. The shape is stable: fields are added, never renamed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
+
+
+def to_dict(summary: RecordingSummary) -> dict[str, Any]:
+    """Return a summary as what `json.dumps` takes; enums as their values, times as integers."""
+    plain = asdict(summary)
+    plain["format"] = summary.format.value
+    plain["content"] = summary.content.value
+    for name in ("compression", "topics", "problems"):
+        plain[name] = list(plain[name])
+    return plain
+
+
+def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
+    """Return the summary that `to_dict` was given.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is not one.
+    """
+    values = dict(plain)
+    values["format"] = RecordingFormat(values["format"])
+    values["content"] = Content(values["content"])
+    values["compression"] = tuple(values["compression"])
+    values["topics"] = tuple(TopicSummary(**topic) for topic in values["topics"])
+    values["problems"] = tuple(Problem(**problem) for problem in values["problems"])
+    return RecordingSummary(**values)

@@ -1,0 +1,139 @@
+"""What a file is, by a look at its content: never by its name.
+
+Reads at most 64 KB at the start of the file and decompresses at most 64 KB; only recognises, never judges.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePosixPath
+
+import zstandard
+
+from kleinkram.recordings import bag_records, mcap_records
+from kleinkram.recordings.limits import MAX_ZSTD_WINDOW
+from kleinkram.recordings.model import Problem, RecordingFormat
+from kleinkram.recordings.sources import Source
+
+HEAD_BYTES = 4096
+_SQLITE_HEAD_BYTES = 65536
+_SQLITE_MAGIC = b"SQLite format 3\0"
+_MAGICS = (
+    (mcap_records.MAGIC, RecordingFormat.mcap),
+    (bag_records.MAGIC, RecordingFormat.rosbag1),
+    (b"#ROSBAG V1", RecordingFormat.rosbag1_old),
+    (b"#ROSRECORD V1", RecordingFormat.rosbag1_old),
+    (b"ULog\x01\x12\x35", RecordingFormat.ulog),
+    (b"\x28\xb5\x2f\xfd", RecordingFormat.zstd),
+    (b"SVO", RecordingFormat.svo),
+)
+_BINARY = frozenset(
+    (
+        RecordingFormat.mcap,
+        RecordingFormat.rosbag1,
+        RecordingFormat.rosbag1_old,
+        RecordingFormat.rosbag2_db3,
+        RecordingFormat.zstd,
+        RecordingFormat.ulog,
+        RecordingFormat.svo,
+    )
+)
+_TEXT_EXTENSIONS = frozenset((".yaml", ".yml", ".csv", ".tum", ".txt", ".json"))
+_CLAIMS = {
+    ".mcap": {RecordingFormat.mcap},
+    ".bag": {RecordingFormat.rosbag1, RecordingFormat.rosbag1_old},
+    ".db3": {RecordingFormat.rosbag2_db3},
+    ".zstd": {RecordingFormat.zstd},
+    ".zst": {RecordingFormat.zstd},
+    ".ulg": {RecordingFormat.ulog},
+    ".svo": {RecordingFormat.svo, RecordingFormat.mcap},
+    ".svo2": {RecordingFormat.mcap, RecordingFormat.svo},
+}
+_YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)""")
+_TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
+
+
+def sniff(source: Source) -> RecordingFormat:
+    """Say what a file is by its content.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    if source.size_bytes == 0:
+        return RecordingFormat.empty
+    head = source.read(0, min(HEAD_BYTES, source.size_bytes))
+    kind = sniff_head(head)
+    if kind is RecordingFormat.unknown and head.startswith(_SQLITE_MAGIC):
+        head = source.read(0, min(_SQLITE_HEAD_BYTES, source.size_bytes))
+        # The schema of a database stands in its first page, as the text of the statements that made it.
+        if b"TABLE messages" in head and b"TABLE topics" in head:
+            return RecordingFormat.rosbag2_db3
+    return kind
+
+
+def sniff_head(head: bytes) -> RecordingFormat:
+    """Say what a file is by its first bytes; databases are `unknown`."""
+    for magic, kind in _MAGICS:
+        if head.startswith(magic):
+            return kind
+    return _sniff_text(head)
+
+
+def sniff_inside_zstd(source: Source) -> RecordingFormat:
+    """Say what is in a file that is compressed as a whole; unknown if its beginning cannot be decompressed."""
+    compressed = source.read(0, min(_SQLITE_HEAD_BYTES, source.size_bytes))
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+    try:
+        with decompressor.stream_reader(compressed) as reader:
+            head = reader.read(_SQLITE_HEAD_BYTES)
+    except zstandard.ZstdError:
+        return RecordingFormat.unknown
+    if head.startswith(_SQLITE_MAGIC) and b"TABLE messages" in head:
+        return RecordingFormat.rosbag2_db3
+    return sniff_head(head[:HEAD_BYTES])
+
+
+def extension_lies(name: str, kind: RecordingFormat) -> Problem | None:
+    """Return a problem if the extension of the name promises another content than there is."""
+    extension = PurePosixPath(name).suffix.lower()
+    claims = _CLAIMS.get(extension)
+    honest = kind in claims if claims else not (extension in _TEXT_EXTENSIONS and kind in _BINARY)
+    if honest or kind is RecordingFormat.empty:
+        return None
+    what = "of no kind that we know" if kind is RecordingFormat.unknown else f"that of {kind.value}"
+    return Problem("extension-lies", name, f"it is named '{extension}', but its content is {what}")
+
+
+def _sniff_text(head: bytes) -> RecordingFormat:
+    if b"\0" in head:
+        return RecordingFormat.unknown
+    text = head.decode("utf-8", "ignore")
+    if len(text.encode()) < len(head) - 3:
+        return RecordingFormat.unknown
+    whole_lines = text.splitlines()[: -1 if len(head) == HEAD_BYTES else None]
+    lines = [line.strip() for line in whole_lines if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        return RecordingFormat.unknown
+    if any(line.startswith("rosbag2_bagfile_information:") for line in lines):
+        return RecordingFormat.rosbag2_metadata
+    if _are_numbers(lines, _TUM_COLUMNS):
+        return RecordingFormat.tum
+    if _are_numbers(lines, _KITTI_COLUMNS):
+        return RecordingFormat.kitti
+    if len(lines) > 1 and "," in lines[0] and len({line.count(",") for line in lines}) == 1:
+        return RecordingFormat.csv
+    if _YAML_KEY.match(lines[0]):
+        return RecordingFormat.yaml
+    return RecordingFormat.unknown
+
+
+def _are_numbers(lines: list[str], columns: int) -> bool:
+    for line in lines:
+        cells = line.split()
+        if len(cells) != columns:
+            return False
+        try:
+            [float(cell) for cell in cells]
+        except ValueError:
+            return False
+    return True

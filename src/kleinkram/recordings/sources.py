@@ -1,0 +1,150 @@
+"""A source: "read these bytes at this offset". Files here; HTTP ranges in `http_source`.
+
+Sources are safe to share between threads, hold no more than the bytes they return, and never read on their own.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.limits import MAX_READ
+
+
+class Source(Protocol):
+    """Random access to the bytes of one file."""
+
+    @property
+    def name(self) -> str:
+        """For messages, and for the extension that a file claims; never opened."""
+
+    @property
+    def size_bytes(self) -> int:
+        """The size of the file; fixed while it is read."""
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`.
+
+        Raises:
+            SourceError: they cannot be had, or `length` is above `MAX_READ`.
+        """
+
+
+def check_range(source: Source, offset: int, length: int) -> None:
+    """Refuse what no source may be asked for.
+
+    Raises:
+        SourceError: outside the file, or more than `MAX_READ` at a time.
+    """
+    if length < 0 or length > MAX_READ:
+        raise SourceError(f"{source.name}: {length} bytes asked for at once; at most {MAX_READ} may be")
+    if offset < 0 or offset + length > source.size_bytes:
+        raise SourceError(f"{source.name}: bytes {offset}+{length} lie outside its {source.size_bytes} bytes")
+
+
+class FileSource:
+    """A local file. Close it, or use it in a `with`.
+
+    Raises:
+        SourceError: the file cannot be opened.
+    """
+
+    parallel_reads = 1
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.name = Path(path).name
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY)
+            self.size_bytes = os.fstat(self._descriptor).st_size
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`."""
+        check_range(self, offset, length)
+        pieces: list[bytes] = []
+        while length:
+            try:
+                piece = os.pread(self._descriptor, length, offset)
+            except OSError as error:
+                raise SourceError(f"{self.name}: cannot be read at byte {offset}: {error.strerror}") from error
+            if not piece:
+                raise SourceError(f"{self.name}: became shorter than {self.size_bytes} bytes while it was read")
+            pieces.append(piece)
+            offset += len(piece)
+            length -= len(piece)
+        return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> FileSource:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class CountingSource:
+    """Another source that also says what it was asked for.
+
+    Attributes:
+        bytes_read: bytes returned so far.
+        reads: calls so far.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._lock = threading.Lock()
+        self.name = source.name
+        self.size_bytes = source.size_bytes
+        self.parallel_reads: int = getattr(source, "parallel_reads", 1)
+        self.bytes_read = 0
+        self.reads = 0
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`, and count them."""
+        data = self._source.read(offset, length)
+        with self._lock:
+            self.reads += 1
+            self.bytes_read += length
+        return data
+
+
+def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+    """Yield the bytes of each (offset, length), in order; over a network, the next few are already under way.
+
+    A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    workers: int = getattr(source, "parallel_reads", 1)
+    if workers == 1:
+        for offset, length in ranges:
+            yield source.read(offset, length)
+        return
+    with ThreadPoolExecutor(workers, thread_name_prefix="ranges") as pool:
+        under_way: deque[Future[bytes]] = deque()
+        try:
+            for offset, length in ranges:
+                under_way.append(pool.submit(source.read, offset, length))
+                if len(under_way) >= workers:
+                    yield under_way.popleft().result()
+            while under_way:
+                yield under_way.popleft().result()
+        finally:
+            for future in under_way:
+                future.cancel()

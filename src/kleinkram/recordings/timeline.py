@@ -1,0 +1,209 @@
+"""Log times of topics -> counts, spans, gaps. Exact, in bounded memory, whatever the order of the messages.
+
+Chunks are added in the order in which they stand in the file. That order decides what is out of order; gaps need the
+order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` says up to where that
+is sure (the smallest start of all chunks still to come), and after it only a few numbers a topic are left. Should
+more than `MAX_PENDING_STAMPS` wait, the older half is settled by force; if an earlier stamp still comes, the longest
+gap of that topic is an upper bound, and the summary says so.
+
+**Suspect stamps.** Sorted by time, the messages of a recording fall into islands with more than a year of silence
+between them. The island with the most messages is the recording; stamps in all others (1970, or a clock that jumped)
+are suspect: counted, reported, and left out of spans, rates and gaps.
+"""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
+from operator import itemgetter, lt, sub
+
+from kleinkram.recordings.limits import MAX_PENDING_STAMPS
+
+YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
+_KEY_BITS = 20
+
+
+@dataclass(frozen=True)
+class Run:
+    """Messages of one topic without a year of silence between them; both ends inclusive."""
+
+    first_ns: int
+    last_ns: int
+    count: int
+    longest_gap_ns: int
+
+
+@dataclass
+class TopicTimes:
+    """What is known of the stamps of one topic so far."""
+
+    count: int = 0
+    out_of_order: int = 0
+    stored_bytes: int = 0
+    latest_ns: int = -1
+    earliest_pending_ns: int = 0
+    runs: list[Run] = field(default_factory=list)
+    gaps_are_upper_bounds: bool = False
+    pending: array[int] = field(default_factory=lambda: array("Q"))
+
+    def add(self, stamps: Sequence[int]) -> None:
+        """Add stamps in the order of the file."""
+        if not stamps:
+            return
+        self.count += len(stamps)
+        highest = max(stamps)
+        if stamps[0] < self.latest_ns or any(map(lt, stamps[1:], stamps)):
+            before = accumulate(stamps, max, initial=self.latest_ns)
+            self.out_of_order += sum(map(lt, stamps, before))
+        self.latest_ns = max(self.latest_ns, highest)
+        earliest = min(stamps)
+        self.earliest_pending_ns = min(self.earliest_pending_ns, earliest) if self.pending else earliest
+        self.pending.extend(stamps)
+
+    def settle(self, before_ns: int | None) -> None:
+        """Turn pending stamps below `before_ns` (None: all) into runs."""
+        if not self.pending or (before_ns is not None and self.earliest_pending_ns >= before_ns):
+            return
+        stamps = sorted(self.pending)
+        cut = len(stamps) if before_ns is None else bisect_left(stamps, before_ns)
+        if cut:
+            for run in _split(stamps[:cut]):
+                self._absorb(run)
+            self.pending = array("Q", stamps[cut:])
+            self.earliest_pending_ns = self.pending[0] if self.pending else 0
+
+    def _absorb(self, run: Run) -> None:
+        if self.runs and run.first_ns < self.runs[-1].last_ns:
+            late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
+            self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
+        self.runs = join([*self.runs, run])
+
+
+def _split(stamps: Sequence[int]) -> list[Run]:
+    """Cut sorted stamps where a year passes."""
+    gaps = list(map(sub, stamps[1:], stamps))
+    longest = max(gaps, default=0)
+    if longest <= YEAR_NS:
+        return [Run(stamps[0], stamps[-1], len(stamps), longest)]
+    cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
+    return [Run(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0)) for a, b in pairwise(cuts)]
+
+
+def join(runs: Iterable[Run]) -> list[Run]:
+    """Join runs that overlap or lie within a year of each other; sorted by time.
+
+    The gap between two runs that do not overlap counts as a gap of the joined one.
+    """
+    joined: list[Run] = []
+    for run in sorted(runs, key=lambda run: run.first_ns):
+        previous = joined[-1] if joined else None
+        if previous is None or run.first_ns - previous.last_ns > YEAR_NS:
+            joined.append(run)
+            continue
+        between = max(0, run.first_ns - previous.last_ns)
+        joined[-1] = Run(
+            previous.first_ns,
+            max(previous.last_ns, run.last_ns),
+            previous.count + run.count,
+            max(previous.longest_gap_ns, run.longest_gap_ns, between),
+        )
+    return joined
+
+
+def bulk(runs: Iterable[Run]) -> Run | None:
+    """Return the island with the most messages over all topics; of equals, the latest. None without any message."""
+    return max(join(runs), key=lambda run: (run.count, run.first_ns), default=None)
+
+
+def within(runs: Iterable[Run], island: Run | None) -> Run | None:
+    """Return the runs of a topic inside the island as one run; None if there are none."""
+    if island is None:
+        return None
+    inside = [run for run in runs if island.first_ns <= run.first_ns <= island.last_ns]
+    if not inside:
+        return None
+    gaps = [run.longest_gap_ns for run in inside]
+    gaps += [after.first_ns - before.last_ns for before, after in pairwise(inside)]
+    return Run(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps))
+
+
+@dataclass(frozen=True)
+class ChunkEntries:
+    """The index of one topic in one chunk: log times, and where the messages begin in the uncompressed chunk."""
+
+    topic: str
+    stamps: Sequence[int]
+    offsets: Sequence[int]
+
+
+class Timeline:
+    """The stamps of all topics of one file."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, TopicTimes] = {}
+        self._pending = 0
+
+    def topic(self, name: str) -> TopicTimes:
+        """Return the times of a topic, empty ones if it is new."""
+        times = self.topics.get(name)
+        if times is None:
+            times = self.topics[name] = TopicTimes()
+        return times
+
+    def add(self, name: str, stamps: Sequence[int], stored_bytes: int) -> None:
+        """Add messages of one topic, in the order of the file."""
+        times = self.topic(name)
+        times.add(stamps)
+        times.stored_bytes += stored_bytes
+        self._pending += len(stamps)
+
+    def add_chunk(self, entries: Sequence[ChunkEntries], *, uncompressed_bytes: int, stored_bytes: int) -> None:
+        """Add the indexes of one chunk, at most one of each topic, in any order of messages.
+
+        A topic's share of the stored bytes is its share of the uncompressed ones, where a message reaches to the
+        next one or to the chunk's end.
+        """
+        shares = _message_bytes(entries, uncompressed_bytes)
+        for entry, share in zip(entries, shares, strict=True):
+            stored = share * stored_bytes // uncompressed_bytes if uncompressed_bytes else 0
+            self.add(entry.topic, _in_file_order(entry), stored)
+
+    def settle(self, before_ns: int | None) -> None:
+        """State that no stamp below `before_ns` will follow; None: none at all."""
+        for times in self.topics.values():
+            if times.pending:
+                times.settle(before_ns)
+        self._pending = sum(len(times.pending) for times in self.topics.values())
+        if self._pending > MAX_PENDING_STAMPS:
+            self._settle_older_half()
+
+    def _settle_older_half(self) -> None:
+        for times in self.topics.values():
+            if times.pending:
+                stamps = sorted(times.pending)
+                times.settle(stamps[len(stamps) // 2])
+        self._pending = sum(len(times.pending) for times in self.topics.values())
+
+
+def _in_file_order(entry: ChunkEntries) -> Sequence[int]:
+    if not any(map(lt, entry.offsets[1:], entry.offsets)):
+        return entry.stamps
+    return [stamp for _, stamp in sorted(zip(entry.offsets, entry.stamps, strict=True), key=itemgetter(0))]
+
+
+def _message_bytes(entries: Sequence[ChunkEntries], uncompressed_bytes: int) -> list[int]:
+    """Return the uncompressed bytes of each entry's messages."""
+    keys: list[int] = []
+    for number, entry in enumerate(entries):
+        keys += [offset << _KEY_BITS | number for offset in entry.offsets]
+    keys.sort()
+    mask = (1 << _KEY_BITS) - 1
+    shares = [0] * len(entries)
+    starts = [key >> _KEY_BITS for key in keys]
+    ends = [*starts[1:], max(uncompressed_bytes, starts[-1] if starts else 0)]
+    for key, size in zip(keys, map(sub, ends, starts), strict=True):
+        shares[key & mask] += size
+    return shares
