@@ -4,29 +4,35 @@ Pure: a source is "read these bytes at this offset". Bounded memory, no database
 package. Files are untrusted: whatever their bytes, the answer is a summary (`summarise`), and a server lets a child
 process give it (`summarise_isolated`).
 
+Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
+
 Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2_metadata`, `http_source` (needs urllib3) and
 `sample`, which makes sample missions.
 """
 
-from kleinkram.recordings.combining import combine
-from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
-from kleinkram.recordings.isolation import (
-    CHILD_COMMAND,
-    CHILD_ENVIRONMENT,
-    FileRequest,
-    UrlRequest,
-    read_answer,
-    request_bytes,
-    summarise_isolated,
-    timed_out,
-)
-from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
-from kleinkram.recordings.rosbag2_metadata import Rosbag2Metadata, parse_rosbag2_metadata
-from kleinkram.recordings.serialise import from_dict, to_dict
-from kleinkram.recordings.sniffing import sniff
-from kleinkram.recordings.sources import CountingSource, FileSource, Source
-from kleinkram.recordings.summary import summarise
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.combining import combine
+    from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
+    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
+    from kleinkram.recordings.isolation import (
+        CHILD_COMMAND,
+        CHILD_ENVIRONMENT,
+        FileRequest,
+        UrlRequest,
+        read_answer,
+        request_bytes,
+        summarise_isolated,
+        timed_out,
+    )
+    from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
+    from kleinkram.recordings.rosbag2_metadata import Rosbag2Metadata, compare_members, parse_rosbag2_metadata
+    from kleinkram.recordings.serialise import from_dict, to_dict
+    from kleinkram.recordings.sniffing import sniff
+    from kleinkram.recordings.sources import CountingSource, FileSource, Source
+    from kleinkram.recordings.summary import summarise
 
 __all__ = [
     "CHILD_COMMAND",
@@ -49,6 +55,7 @@ __all__ = [
     "TopicSummary",
     "UrlRequest",
     "combine",
+    "compare_members",
     "from_dict",
     "group",
     "is_recording_name",
@@ -61,3 +68,32 @@ __all__ = [
     "timed_out",
     "to_dict",
 ]
+
+_HOMES = {
+    "combining": ("combine",),
+    "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
+    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "isolation": (
+        "CHILD_COMMAND",
+        "CHILD_ENVIRONMENT",
+        "FileRequest",
+        "UrlRequest",
+        "read_answer",
+        "request_bytes",
+        "summarise_isolated",
+        "timed_out",
+    ),
+    "model": ("Content", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
+    "rosbag2_metadata": ("Rosbag2Metadata", "compare_members", "parse_rosbag2_metadata"),
+    "serialise": ("from_dict", "to_dict"),
+    "sniffing": ("sniff",),
+    "sources": ("CountingSource", "FileSource", "Source"),
+    "summary": ("summarise",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

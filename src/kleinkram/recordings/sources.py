@@ -9,7 +9,6 @@ import os
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -136,6 +135,8 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
         for offset, length in ranges:
             yield source.read(offset, length)
         return
+    from concurrent.futures import Future, ThreadPoolExecutor  # slow to import, and only for a network
+
     with ThreadPoolExecutor(workers, thread_name_prefix="ranges") as pool:
         under_way: deque[Future[bytes]] = deque()
         try:
