@@ -184,7 +184,8 @@ def refuse_newer(data_dir: DataDir) -> None:
     if newer:
         raise VersionMismatch(
             f"{data_dir.root} was last used by Kleinkram {version}, and this is {kleinkram.__version__}: "
-            f"install {version} or later (`pip install 'open-kleinkram[server]>={version}'`), or name another --data-dir."
+            f"install {version} or later (`pip install 'open-kleinkram[server]>={version}'`), or name another "
+            "--data-dir."
         )
 
 
@@ -200,7 +201,13 @@ def load_secrets(data_dir: DataDir) -> Secrets:
         DataDirUnusable: the file is damaged.
     """
     if not data_dir.secrets_file.exists():
-        made = Secrets(*(secrets.token_hex(16) for _ in range(3)), secrets.token_hex(10), secrets.token_hex(20))
+        made = Secrets(
+            postgres_admin=secrets.token_hex(16),
+            postgres_migrate=secrets.token_hex(16),
+            postgres_serve=secrets.token_hex(16),
+            s3_access_key=secrets.token_hex(10),
+            s3_secret_key=secrets.token_hex(20),
+        )
         write_private(data_dir.secrets_file, json.dumps(asdict(made), indent=2))
     try:
         return Secrets(**json.loads(data_dir.secrets_file.read_text()))

@@ -8,7 +8,7 @@ import os
 import select
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from kleinkram.standalone.data_dir import DataDir, is_held, read_holder
 from kleinkram.standalone.errors import NotRunning, PartFailed
@@ -27,7 +27,7 @@ def end_leftovers(data_dir: DataDir) -> int:
     # SIGINT lets PostgreSQL close its files; what does not heed it within the grace is killed, and recovers.
     for sign in (signal.SIGINT, signal.SIGKILL):
         for pid in marked_processes(data_dir.root):
-            _signal_if(pid, sign, still_it=lambda pid=pid: pid in marked_processes(data_dir.root))
+            _signal_marked(pid, sign, data_dir)
         deadline = time.monotonic() + _GRACE_S
         while marked_processes(data_dir.root) and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -76,8 +76,8 @@ def _pidfd(pid: int) -> Iterator[int | None]:
         os.close(descriptor)
 
 
-def _signal_if(pid: int, sign: signal.Signals, *, still_it: Callable[[], bool]) -> None:
+def _signal_marked(pid: int, sign: signal.Signals, data_dir: DataDir) -> None:
     with _pidfd(pid) as descriptor:
-        if descriptor is not None and still_it():
+        if descriptor is not None and pid in marked_processes(data_dir.root):
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(descriptor, sign)

@@ -1,0 +1,133 @@
+"""What `klein up` starts, worked out before anything is started: commands, environments, addresses, secrets."""
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kleinkram.standalone.address import Listening, check_listening, public_urls, settle_ports
+from kleinkram.standalone.binaries import locate_postgres, locate_weed
+from kleinkram.standalone.child import Command
+from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
+from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords
+from kleinkram.standalone.store import BUCKET, PublicAddress, StoreFolder
+
+SERVER = (sys.executable, "-m", "kleinkram.server")
+
+
+@dataclass(frozen=True)
+class UpOptions:
+    """What the caller of `klein up` chose. `server` is the command whose subcommands are migrate, api and worker."""
+
+    data_dir: Path
+    listening: Listening = field(default_factory=Listening)
+    server: tuple[str, ...] = SERVER
+    is_default_data_dir: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything settled for one start."""
+
+    data_dir: DataDir
+    listening: Listening
+    server: tuple[str, ...]
+    ports: Mapping[str, int]
+    public_url: str
+    store_public_url: str
+    postgres: PostgresCluster
+    store: StoreFolder
+    gateway: PublicAddress | None
+
+    def server_process(self, name: str, *arguments: str) -> Command:
+        """One of the server's processes; only `migrate` learns the password of the role that owns the schema."""
+        environment = _server_environment(self)
+        if name == "migrate":
+            environment["KLEINKRAM_MIGRATION_DATABASE_URL"] = self.postgres.url(MIGRATE)
+        return Command(
+            arguments=[*self.server, name, *arguments],
+            data_dir=self.data_dir.root,
+            log=self.data_dir.log(name),
+            environment=environment,
+            directory=self.data_dir.root,
+        )
+
+    def api_arguments(self) -> list[str]:
+        """Where the API listens."""
+        arguments = ["--host", self.listening.address, "--port", str(self.ports["api"])]
+        if self.listening.tls_cert and self.listening.tls_key:
+            arguments += ["--tls-cert", str(self.listening.tls_cert), "--tls-key", str(self.listening.tls_key)]
+        return arguments
+
+
+def make_plan(options: UpOptions) -> Plan:
+    """Settle ports, secrets and addresses, and note them in the data directory. The caller holds its lock.
+
+    Raises:
+        StandaloneError: a program is missing, a port is taken, an option cannot be meant.
+    """
+    data_dir, listening = DataDir(options.data_dir), options.listening
+    check_listening(listening)
+    programs, weed = locate_postgres(), locate_weed()
+    ports = settle_ports(listening, load_ports(data_dir))
+    write_private(data_dir.ports_file, json.dumps(ports, indent=2))
+    secrets = load_secrets(data_dir)
+    ensure_owner_token(data_dir)
+    public_url, store_public_url = public_urls(listening, ports)
+    gateway = _gateway(listening, ports)
+    return Plan(
+        data_dir=data_dir,
+        listening=listening,
+        server=options.server,
+        ports=ports,
+        public_url=public_url,
+        store_public_url=store_public_url,
+        postgres=PostgresCluster(
+            binaries=programs,
+            data_dir=data_dir.root,
+            folder=data_dir.postgres,
+            log=data_dir.log("postgres"),
+            port=ports["postgres"],
+            passwords=PostgresPasswords(secrets.postgres_admin, secrets.postgres_migrate, secrets.postgres_serve),
+        ),
+        store=StoreFolder(
+            program=weed,
+            data_dir=data_dir.root,
+            folder=data_dir.store,
+            log=data_dir.log("store"),
+            ports={**ports, "s3": ports["s3"] if gateway else ports["store"]},
+            access_key=secrets.s3_access_key,
+            secret_key=secrets.s3_secret_key,
+        ),
+        gateway=gateway,
+    )
+
+
+def _gateway(listening: Listening, ports: Mapping[str, int]) -> PublicAddress | None:
+    """A door of its own for clients where they come from outside, or where they speak TLS."""
+    if listening.is_loopback and listening.tls_cert is None:
+        return None
+    return PublicAddress(
+        address=listening.address,
+        port=ports["store"],
+        grpc_port=ports["gateway_grpc"],
+        certificate=listening.tls_cert,
+        key=listening.tls_key,
+    )
+
+
+def _server_environment(plan: Plan) -> dict[str, str]:
+    access = plan.store.access
+    return {
+        "KLEINKRAM_DATABASE_URL": plan.postgres.url(SERVE),
+        "KLEINKRAM_S3_INTERNAL_URL": access.endpoint,
+        "KLEINKRAM_S3_PUBLIC_URL": plan.store_public_url,
+        "KLEINKRAM_S3_BUCKET": BUCKET,
+        "KLEINKRAM_S3_ACCESS_KEY": access.access_key,
+        "KLEINKRAM_S3_SECRET_KEY": access.secret_key,
+        "KLEINKRAM_S3_REGION": access.region,
+        "KLEINKRAM_PUBLIC_URL": plan.public_url,
+        "KLEINKRAM_OWNER_TOKEN_FILE": str(plan.data_dir.token_file),
+        "KLEINKRAM_LOG_FORMAT": "json",
+    }

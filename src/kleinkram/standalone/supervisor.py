@@ -1,0 +1,228 @@
+"""`klein up`: starts the parts in order, says where Kleinkram is, starts again what dies, ends all in order.
+
+One thread only: children are bound to the life of the thread that starts them. Signals are blocked and waited for, so
+nothing is interrupted half-way. Light imports only: it stays in memory for as long as Kleinkram runs.
+"""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import datetime, timezone
+
+import kleinkram
+from kleinkram.standalone import child, health, postgres, s3, store
+from kleinkram.standalone.data_dir import (
+    DataDir,
+    create,
+    exclusive,
+    note_version,
+    refuse_newer,
+    write_private,
+)
+from kleinkram.standalone.errors import PartFailed, StandaloneError
+from kleinkram.standalone.leftovers import end_leftovers
+from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_line, launch
+from kleinkram.standalone.plan import Plan, UpOptions, make_plan
+
+_START_TIMEOUT_S = 120.0
+_LOGS_EVERY_S = 5.0
+_WATCHED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD}
+
+
+class StopAsked(Exception):
+    """Somebody pressed Ctrl-C or asked for the end."""
+
+
+def run(options: UpOptions) -> None:
+    """Run Kleinkram until it is asked to stop.
+
+    Raises:
+        StandaloneError: it could not be started; what had been started is ended again.
+    """
+    data_dir = DataDir(options.data_dir)
+    signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
+    create(data_dir)
+    with exclusive(data_dir):
+        refuse_newer(data_dir)
+        end_leftovers(data_dir)
+        supervisor = Supervisor(make_plan(options))
+        try:
+            supervisor.start()
+            print(_greeting(supervisor.plan, options), flush=True)  # noqa: T201  (the command's one line of output)
+            supervisor.watch()
+        except StopAsked:
+            pass
+        finally:
+            supervisor.stop()
+
+
+class Supervisor:
+    """The parts of one instance, by name, in the order of their start."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.parts: dict[str, RunningPart] = {}
+        self.started_at = datetime.now(timezone.utc)
+
+    def start(self) -> None:
+        """Start all parts; returns when the API has answered that all is ready.
+
+        Raises:
+            StandaloneError: a part ended or did not become ready in time.
+            StopAsked: meanwhile somebody asked for the end.
+        """
+        plan = self.plan
+        _warn_of_listening(plan)
+        self._launch("store", lambda: store.start(plan.store), stop_signal=store.STOP_SIGNAL)
+        postgres.initialise(plan.postgres)
+        database = self._launch("postgres", lambda: postgres.start(plan.postgres), stop_signal=postgres.STOP_SIGNAL)
+        self._wait(lambda: postgres.is_ready(plan.postgres, database.child), database)
+        postgres.prepare_database(plan.postgres)
+        self._migrate()
+        self._wait(lambda: s3.proves_ready(plan.store.access, store.BUCKET), self.parts["store"])
+        if gateway := plan.gateway:
+            self._launch("gateway", lambda: store.start_gateway(plan.store, gateway), stop_signal=store.STOP_SIGNAL)
+        self._launch("api", lambda: child.spawn(plan.server_process("api", *plan.api_arguments())))
+        self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
+        self._wait(lambda: health.is_ready(local_url(plan)), self.parts["api"])
+        note_version(plan.data_dir)
+        self._tell()
+
+    def watch(self) -> None:
+        """Start again what ends, and keep the logs within bounds, until the end is asked for.
+
+        Raises:
+            StopAsked: always, in the end.
+        """
+        logs_due = 0.0
+        while True:
+            for running in self.parts.values():
+                self._look_after(running)
+            if time.monotonic() >= logs_due:
+                logs_due = time.monotonic() + _LOGS_EVERY_S
+                for running in self.parts.values():
+                    bound_log(running.part.log)
+            _pause(self._until_next_start())
+
+    def stop(self) -> None:
+        """End all parts: those that use others first."""
+        for name in ("worker", "api", "gateway", "store", "postgres"):
+            if running := self.parts.pop(name, None):
+                running.stop()
+        self.plan.data_dir.instance_file.unlink(missing_ok=True)
+
+    def _launch(
+        self, name: str, start: Callable[[], "subprocess.Popen[bytes]"], *, stop_signal: signal.Signals = signal.SIGTERM
+    ) -> RunningPart:
+        part = Part(name, start, self.plan.data_dir.log(name), stop_signal, stop_timeout_s=15)
+        self.parts[name] = launch(part)
+        return self.parts[name]
+
+    def _wait(self, ready: Callable[[], bool], running: RunningPart) -> None:
+        """Wait for a part, and see that it and those before it live."""
+        deadline = time.monotonic() + _START_TIMEOUT_S
+        while not ready():
+            for other in self.parts.values():
+                if other.ending():
+                    raise _ended(other)
+            if time.monotonic() > deadline:
+                raise PartFailed(
+                    f"The part '{running.part.name}' was not ready after {_START_TIMEOUT_S:.0f} s: "
+                    f"see {running.part.log}; its last line: {last_line(running.part.log)}"
+                )
+            _pause(0.02)
+
+    def _migrate(self) -> None:
+        command = self.plan.server_process("migrate")
+        running = launch(Part("migrate", lambda: child.spawn(command), command.log, signal.SIGTERM, stop_timeout_s=15))
+        try:
+            while running.ending() is None:
+                _pause(0.02)
+        finally:
+            running.stop()
+        if running.child.returncode != 0:
+            raise _ended(running)
+
+    def _look_after(self, running: RunningPart) -> None:
+        name = running.part.name
+        if running.start_again_at is None and (ending := running.ending()):
+            pause = running.schedule()
+            _say(f"{name} has ended ({ending}); starting it again in {pause:.1f} s; log: {running.part.log}")
+            self._tell()
+            return
+        try:
+            started = running.start_if_due()
+        except (StandaloneError, OSError) as error:
+            _say(f"{name} could not be started again, trying once more in {running.schedule():.1f} s: {error}")
+            return
+        if started:
+            _say(f"{name} was started again")
+            self._tell()
+
+    def _until_next_start(self) -> float:
+        due = [running.start_again_at for running in self.parts.values() if running.start_again_at is not None]
+        return max(0.0, min([time.monotonic() + _LOGS_EVERY_S, *due]) - time.monotonic())
+
+    def _tell(self) -> None:
+        """Write what the CLI, `klein doctor` and other programs of this user may know."""
+        plan = self.plan
+        told = {
+            "url": plan.public_url,
+            "token_file": str(plan.data_dir.token_file),
+            "store_url": plan.store_public_url,
+            "local_url": local_url(plan),
+            "version": kleinkram.__version__,
+            "started_at": self.started_at.isoformat(),
+            "pid": os.getpid(),
+            "ports": dict(plan.ports),
+            "parts": {name: running.pid for name, running in self.parts.items()},
+        }
+        write_private(plan.data_dir.instance_file, json.dumps(told, indent=2))
+
+
+def local_url(plan: Plan) -> str:
+    """The API's address from this machine."""
+    return f"{plan.listening.scheme}://{plan.listening.local_host}:{plan.ports['api']}"
+
+
+def _ended(running: RunningPart) -> PartFailed:
+    part = running.part
+    return PartFailed(
+        f"The part '{part.name}' ended ({running.ending()}) while it was to start: "
+        f"see {part.log}; its last line: {last_line(part.log)}"
+    )
+
+
+def _pause(seconds: float) -> None:
+    """Sleep, but wake when a child ends.
+
+    Raises:
+        StopAsked: a signal asked for the end.
+    """
+    received = signal.sigtimedwait(_WATCHED, seconds)
+    if received is not None and received.si_signo != signal.SIGCHLD:
+        raise StopAsked
+
+
+def _say(sentence: str) -> None:
+    print(f"klein: {sentence}", file=sys.stderr, flush=True)  # noqa: T201  (the supervisor's own voice)
+
+
+def _warn_of_listening(plan: Plan) -> None:
+    if not plan.listening.is_loopback and plan.listening.tls_cert is None:
+        _say(
+            f"listening on {plan.listening.address} without TLS: whoever shares the network can read tokens and "
+            "recordings on their way; give --tls-cert and --tls-key unless you trust it"
+        )
+
+
+def _greeting(plan: Plan, options: UpOptions) -> str:
+    line = f"Kleinkram answers at {plan.public_url} (data in {options.data_dir})"
+    if not options.is_default_data_dir:
+        line += f"; for klein on this machine: export KLEINKRAM_DATA_DIR={shlex.quote(str(options.data_dir))}"
+    return line

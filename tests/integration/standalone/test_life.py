@@ -1,0 +1,144 @@
+"""Starting, ending, dying and recovering."""
+
+import os
+import signal
+import subprocess
+from urllib.parse import urlsplit
+
+import pytest
+
+from kleinkram.standalone import s3, store
+from kleinkram.standalone.data_dir import DataDir, load_secrets
+from kleinkram.standalone.errors import NotRunning
+from kleinkram.standalone.health import is_ready
+from kleinkram.standalone.leftovers import stop_instance
+from kleinkram.standalone.plan import UpOptions, make_plan
+from kleinkram.standalone.procs import start_ticks
+from tests.integration.standalone.conftest import Instance, wait_until
+
+PARTS = ("store", "postgres", "api", "worker")
+
+
+def _store_access(instance: Instance) -> s3.StoreAccess:
+    secrets = load_secrets(DataDir(instance.data_dir))
+    return s3.StoreAccess(instance.told["store_url"], secrets.s3_access_key, secrets.s3_secret_key)
+
+
+def _answers(instance: Instance) -> bool:
+    return is_ready(instance.told["url"]) and s3.proves_ready(_store_access(instance), store.BUCKET)
+
+
+def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    assert _answers(shared_instance)
+    token = shared_instance.data_dir / "owner-token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert token.read_text().startswith("klein_")
+    assert len(token.read_text().strip()) == len("klein_") + 43
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "", "")
+    assert shared_instance.processes == []
+    assert not (shared_instance.data_dir / "instance.json").exists()
+
+
+def test_objects_tokens_and_ports_survive_a_restart(shared_instance: Instance) -> None:
+    first = shared_instance.up()
+    told, token = shared_instance.told, (shared_instance.data_dir / "owner-token").read_text()
+    assert s3.request(_store_access(shared_instance), "PUT", "/kleinkram/kept", body=b"bytes")[0] == 200
+    first.terminate()
+    first.communicate(timeout=60)
+    shared_instance.up()
+    assert s3.request(_store_access(shared_instance), "GET", "/kleinkram/kept") == (200, b"bytes")
+    assert shared_instance.told["ports"] == told["ports"]
+    assert (shared_instance.data_dir / "owner-token").read_text() == token
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_down_from_elsewhere_ends_it_and_says_so_when_nothing_runs(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    stop_instance(DataDir(shared_instance.data_dir))
+    process.communicate(timeout=10)
+    assert process.returncode == 0
+    assert shared_instance.processes == []
+    with pytest.raises(NotRunning, match="does not run"):
+        stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_down_never_signals_a_process_that_got_the_pid_since(shared_instance: Instance) -> None:
+    with subprocess.Popen(["sleep", "1000"]) as stranger:
+        lock = shared_instance.data_dir / "lock"
+        lock.write_text(f'{{"pid": {stranger.pid}, "start_ticks": {(start_ticks(stranger.pid) or 0) - 1}}}')
+        with pytest.raises(NotRunning):
+            stop_instance(DataDir(shared_instance.data_dir))
+        assert stranger.poll() is None
+        stranger.kill()
+
+
+def test_a_second_up_on_the_same_folder_is_refused(shared_instance: Instance) -> None:
+    first = shared_instance.up()
+    said = shared_instance.refused()
+    assert f"already runs on {shared_instance.data_dir} (pid {first.pid})" in said
+    assert _answers(shared_instance)
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_every_part_that_is_killed_comes_back(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    for part in PARTS:
+        pid = shared_instance.told["parts"][part]
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda part=part, pid=pid: shared_instance.told["parts"][part] not in (None, pid))
+    wait_until(lambda: _answers(shared_instance))
+    stop_instance(DataDir(shared_instance.data_dir))
+    said = process.communicate(timeout=10)[1]
+    for part in PARTS:
+        assert f"{part} has ended (killed by signal 9)" in said
+        assert f"{part} was started again" in said
+    assert shared_instance.processes == []
+
+
+def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    before = set(shared_instance.processes)
+    process.kill()
+    process.communicate(timeout=10)
+    # The worker's own child has no bond to the supervisor: it is what the next start must end.
+    wait_until(lambda: len(shared_instance.processes) <= 1)
+    survivors = set(shared_instance.processes)
+    assert survivors < before
+    shared_instance.up()
+    assert not survivors & set(shared_instance.processes)
+    assert _answers(shared_instance)
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_each_process_is_told_what_it_needs_and_no_more(shared_instance: Instance) -> None:
+    import json
+
+    shared_instance.up()
+    told = {
+        name: json.loads((shared_instance.data_dir / f"told-{name}.json").read_text())
+        for name in ("migrate", "api", "worker")
+    }
+    assert "KLEINKRAM_MIGRATION_DATABASE_URL" in told["migrate"]
+    assert "KLEINKRAM_MIGRATION_DATABASE_URL" not in told["api"] | told["worker"]
+    assert urlsplit(told["api"]["KLEINKRAM_DATABASE_URL"]).username == "kleinkram_serve"
+    assert told["api"]["KLEINKRAM_S3_PUBLIC_URL"] == shared_instance.told["store_url"]
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_a_stop_during_the_start_leaves_nothing(instance: Instance) -> None:
+    process = instance.spawn()
+    wait_until(lambda: instance.processes)
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert instance.processes == []
+
+
+def test_a_server_that_cannot_start_is_named_with_its_log(instance: Instance) -> None:
+    said = instance.refused(server=("/bin/sh", "-c", "echo no such thing >&2; exit 3"))
+    assert "The part 'migrate' ended (exit code 3)" in said
+    assert "its last line: no such thing" in said
+    assert instance.processes == []
