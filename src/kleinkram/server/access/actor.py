@@ -21,7 +21,7 @@ class Actor:
 
     person_id: uuid.UUID
     name: str
-    token_id: uuid.UUID
+    token_id: uuid.UUID | None
     request_id: str | None
 
     @property

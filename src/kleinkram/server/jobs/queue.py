@@ -1,25 +1,38 @@
 """The queue: procrastinate in the same PostgreSQL. Jobs are enqueued inside the transaction that causes them."""
 
-from collections.abc import Mapping, Sequence
+import enum
+from collections.abc import Sequence
 
 from procrastinate import App, PsycopgConnector
-from procrastinate.tasks import Task
+from procrastinate.types import JSONValue
 
 from kleinkram.server.db import Connection, driver_connection
 
-# Priorities: what a person waits for, before what only has to happen.
-SOON = 10
-WHENEVER = 0
 
-# The connector is opened by the worker only; the API enqueues over its own transactions.
+class Job(str, enum.Enum):
+    """Every job there is."""
+
+    summarise_blob = "summarise_blob"
+    prove_blob = "prove_blob"
+    group_recordings = "group_recordings"
+    finish_uploads = "finish_uploads"
+    sweep = "sweep"
+
+
+class Urgency(enum.IntEnum):
+    """What a person waits for goes before what only has to happen."""
+
+    whenever = 0
+    soon = 10
+
+
+# The worker gives it a connector of its own; the API enqueues over its own transactions.
 queue = App(connector=PsycopgConnector())
 
 
-async def enqueue(
-    db: Connection, task: Task[..., object, ...], arguments: Sequence[Mapping[str, str]], *, priority: int
-) -> None:
-    """Enqueue one job for each set of arguments, as part of the caller's transaction."""
-    if not arguments:
-        return
-    deferrer = task.configure(priority=priority, connection=await driver_connection(db))
-    await deferrer.batch_defer_async(*(dict(each) for each in arguments))
+async def enqueue(db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency) -> None:
+    """Enqueue one job for each id, as part of the caller's transaction."""
+    if ids:
+        deferrer = queue.configure_task(job.value, priority=int(urgency), connection=await driver_connection(db))
+        arguments: list[dict[str, JSONValue]] = [{"ref": each} for each in ids]
+        await deferrer.batch_defer_async(*arguments)

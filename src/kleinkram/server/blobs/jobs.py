@@ -1,0 +1,187 @@
+"""Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted."""
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import time
+import uuid
+
+from awscrt.checksums import crc64nvme
+from procrastinate import JobContext, RetryStrategy
+from sqlalchemy import Row
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.files import BlobState
+from kleinkram.contract.names import file_name
+from kleinkram.recordings import (
+    CHILD_COMMAND,
+    CHILD_ENVIRONMENT,
+    FailureKind,
+    RecordingSummary,
+    SummaryFailed,
+    UrlRequest,
+    read_answer,
+    request_bytes,
+    timed_out,
+)
+from kleinkram.server.blobs import service
+from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.site import Site
+from kleinkram.server.trash.service import empty_trash
+
+_log = logging.getLogger("kleinkram.blobs")
+_ATTEMPTS = 5
+_SWEEP_BATCH = 1000
+# Waits of 4, 16, 64, 256 s: a store that is away for minutes costs nothing but patience.
+_PATIENTLY = RetryStrategy(max_attempts=_ATTEMPTS, exponential_wait=4)
+
+
+def site_of(context: JobContext) -> Site:
+    """Return what the worker gave its jobs to work with."""
+    site = context.additional_context["site"]
+    if not isinstance(site, Site):
+        raise TypeError("the worker was started without its site")
+    return site
+
+
+@queue.task(name=Job.summarise_blob.value, retry=_PATIENTLY, pass_context=True)
+async def summarise_blob(context: JobContext, ref: str) -> None:
+    """Read what is in a recording, in a child process without credentials, and keep it."""
+    site = site_of(context)
+    blob_id = uuid.UUID(ref)
+    async with site.database.begin() as db:
+        row = await service.get_blob(db, blob_id)
+    if row is None or row.path is None:
+        return
+    try:
+        summary = await _summary(site, row)
+    except SummaryFailed as failure:
+        if failure.kind is FailureKind.source and context.job.attempts < _ATTEMPTS - 1:
+            raise  # the store, not the file: worth another try
+        async with site.database.begin() as db:
+            await service.keep_failure(db, blob_id, str(failure))
+        return
+    async with site.database.begin() as db:
+        await service.keep_summary(db, blob_id, summary)
+
+
+async def _summary(site: Site, row: Row[tuple[object, ...]]) -> RecordingSummary:
+    timeout_s = site.settings.summary_timeout_s
+    url = await site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
+    request = request_bytes(
+        UrlRequest(url, row.size_bytes, file_name(row.path)),
+        memory_bytes=site.settings.summary_memory_bytes,
+        timeout_s=round(timeout_s),
+    )
+    process = await asyncio.create_subprocess_exec(
+        *CHILD_COMMAND,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env=CHILD_ENVIRONMENT,
+    )
+    try:
+        stdout, stderr = await asyncio.wait_for(process.communicate(request), timeout_s)
+    except asyncio.TimeoutError:
+        raise timed_out() from None
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+    return read_answer(stdout, stderr, process.returncode or 0)
+
+
+@queue.task(name=Job.prove_blob.value, retry=_PATIENTLY, pass_context=True)
+async def prove_blob(context: JobContext, ref: str) -> None:
+    """Read a blob once, at a limited rate, and compare it with what was stated of it when it came."""
+    site = site_of(context)
+    blob_id = uuid.UUID(ref)
+    async with site.database.begin() as db:
+        row = await service.get_blob(db, blob_id)
+    if row is None:
+        return
+    try:
+        found = await _read_through(site, row.key)
+    except FileNotFoundError:
+        await _keep_damage(site, blob_id, BlobState.lost, "the store no longer has the object")
+        return
+    except StoreUnavailable as error:
+        await site.storage.check()  # raises when the store is away: then the blob is not to blame
+        if context.job.attempts < _ATTEMPTS - 1:
+            raise
+        await _keep_damage(site, blob_id, BlobState.corrupt, f"the store cannot read it back ({error.reason})")
+        return
+    difference = found.differs_from(row)
+    if difference:
+        await _keep_damage(site, blob_id, BlobState.corrupt, difference)
+        return
+    async with site.database.begin() as db:
+        await service.keep_proof(db, blob_id, md5=found.md5)
+
+
+class _Found:
+    """What reading an object through found."""
+
+    def __init__(self, size_bytes: int, sha256: bytes, md5: bytes, crc: int) -> None:
+        self.size_bytes = size_bytes
+        self.sha256 = sha256
+        self.md5 = md5
+        self.crc64nvme = crc.to_bytes(8, "big")
+
+    def differs_from(self, row: Row[tuple[object, ...]]) -> str | None:
+        """Say how it differs from what was kept, or None."""
+        if self.size_bytes != row.size_bytes:
+            return f"it has {self.size_bytes} bytes, and came with {row.size_bytes}"
+        if row.crc64nvme is not None and self.crc64nvme != row.crc64nvme:
+            return f"its CRC-64/NVME is {self.crc64nvme.hex()}, and was {row.crc64nvme.hex()} when it came"
+        if self.sha256 != row.sha256:
+            return f"its sha256 is {self.sha256.hex()}, and was {row.sha256.hex()} by the word of its uploader"
+        return None
+
+
+async def _read_through(site: Site, key: str) -> _Found:
+    sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
+    started = time.monotonic()
+    async for piece in site.storage.read(key):
+        size_bytes += len(piece)
+
+        crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
+        ahead_s = size_bytes / site.settings.proving_bytes_per_s - (time.monotonic() - started)
+        if ahead_s > 0:
+            await asyncio.sleep(ahead_s)
+    return _Found(size_bytes, sha256.digest(), md5.digest(), crc)
+
+
+def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: int) -> int:
+    sha256.update(piece)
+    md5.update(piece)
+    return int(crc64nvme(piece, crc))
+
+
+async def _keep_damage(site: Site, blob_id: uuid.UUID, state: BlobState, reason: str) -> None:
+    _log.error("blob damaged", extra={"fields": {"blob_id": str(blob_id), "state": state.value, "reason": reason}})
+    async with site.database.begin() as db:
+        await service.keep_damage(db, blob_id, state=state, reason=reason)
+
+
+@queue.periodic(cron="*/10 * * * *")
+@queue.task(name=Job.sweep.value, pass_context=True, queueing_lock="sweep", lock="sweep")
+async def sweep(context: JobContext, timestamp: int = 0) -> None:
+    """Let go of what left the trash: its rows, then the objects that nothing refers to any more."""
+    await sweep_once(site_of(context))
+
+
+async def sweep_once(site: Site) -> None:
+    """Do one round of the sweep; what a round leaves, the next one takes."""
+    async with site.database.begin() as db:
+        await empty_trash(db, older_than_days=site.settings.trash_days, limit=_SWEEP_BATCH)
+    async with site.database.begin() as db:
+        await service.doom_unreferenced(db, limit=_SWEEP_BATCH)
+    async with site.database.begin() as db:
+        doomed = await service.doomed_blobs(db, grace_s=site.settings.sweep_grace_s, limit=_SWEEP_BATCH)
+    for row in doomed:
+        await site.storage.delete(row.key)
+        async with site.database.begin() as db:
+            await service.forget_blob(db, row.id)

@@ -1,0 +1,133 @@
+"""What happens to bytes after they arrived: their summary, their proof, their end."""
+
+import datetime
+import uuid
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Row, delete, func, insert, select, update
+
+from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.recordings import RecordingSummary
+from kleinkram.server.blobs import queries
+from kleinkram.server.db import Connection
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue
+from kleinkram.server.recordings.service import regroup
+from kleinkram.server.tables import blob, file, topic
+
+_MAX_BIGINT = 2**63 - 1
+
+
+async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
+    """See to it that new blobs are summarised soon and proven in time."""
+    ids = [str(each) for each in blob_ids]
+    await enqueue(db, Job.summarise_blob, ids=ids, urgency=Urgency.soon)
+    await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.whenever)
+
+
+async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
+    """See to it that a blob is read and compared with its checksums once more, ahead of routine proving."""
+    await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
+
+
+async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
+    """Return a blob that is still there and not about to go, with the path of one of its files."""
+    return (await db.execute(queries.blob_with_path(blob_id))).one_or_none()
+
+
+async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
+    """Keep what the range read said of a blob, in place of what was known before."""
+    await db.execute(delete(topic).where(topic.c.blob_id == blob_id))
+    rows = [_topic_values(blob_id, each) for each in summary.topics]
+    if rows:
+        await db.execute(insert(topic), rows)
+    values = {
+        "content": summary.content.value,
+        "content_reason": _clean(summary.reason),
+        "format": summary.format.value,
+        "message_count": summary.message_count,
+        "start_ns": _bigint(summary.start_ns),
+        "end_ns": _bigint(summary.end_ns),
+        "compression": list(summary.compression),
+        "problems": [{key: _clean(value) for key, value in asdict(each).items()} for each in summary.problems],
+        "summarised_at": func.now(),
+    }
+    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+    await _regroup_missions(db, blob_id)
+
+
+def _topic_values(blob_id: uuid.UUID, each: Any) -> dict[str, object]:
+    values = asdict(each)
+    values.pop("suspect_count")
+    texts = ("name", "message_type", "schema_name", "schema_encoding", "message_encoding")
+    values |= {key: _clean(values[key]) for key in texts}
+    values |= {key: _bigint(value) for key, value in values.items() if isinstance(value, int)}
+    return {"blob_id": blob_id, **values}
+
+
+def _clean(text: str | None) -> str | None:
+    # PostgreSQL holds no NUL in text, and a recording may hold anything in a topic's name.
+    return text.replace("\0", "\\0") if text is not None else None
+
+
+def _bigint(value: int | None) -> int | None:
+    # Log times are unsigned 64 bit; one past the year 2262 fits no column and is nobody's recording.
+    return value if value is None or value <= _MAX_BIGINT else None
+
+
+async def keep_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
+    """Keep that we failed to read a blob, and why."""
+    values = {"content": ContentState.error.value, "content_reason": reason, "summarised_at": func.now()}
+    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+    await _regroup_missions(db, blob_id)
+
+
+async def _regroup_missions(db: Connection, blob_id: uuid.UUID) -> None:
+    holding = select(file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None)).distinct()
+    for mission_id in (await db.execute(holding)).scalars():
+        await regroup(db, mission_id)
+
+
+async def keep_proof(db: Connection, blob_id: uuid.UUID, *, md5: bytes) -> None:
+    """Keep that the server itself has read a blob and found its SHA-256."""
+    values = {"state": BlobState.proven.value, "state_reason": None, "md5": md5, "proven_at": func.now()}
+    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+
+
+async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> None:
+    """Keep that a blob is lost or corrupt, and how that showed."""
+    await db.execute(update(blob).where(blob.c.id == blob_id).values(state=state.value, state_reason=reason))
+
+
+async def doom_unreferenced(db: Connection, *, limit: int) -> int:
+    """Mark blobs that no file refers to, in the trash or out of it; return how many.
+
+    First the candidates are locked, then looked at again: a file that was linked in between, under the lock that
+    linking takes too, saves its blob.
+    """
+    referred = select(file.c.id).where(file.c.blob_id == blob.c.id).exists()
+    candidates = (
+        select(blob.c.id)
+        .where(blob.c.doomed_at.is_(None), ~referred)
+        .order_by(blob.c.id)
+        .limit(limit)
+        .with_for_update(skip_locked=True)
+    )
+    ids = (await db.execute(candidates)).scalars().all()
+    if not ids:
+        return 0
+    result = await db.execute(update(blob).where(blob.c.id.in_(ids), ~referred).values(doomed_at=func.now()))
+    return result.rowcount
+
+
+async def doomed_blobs(db: Connection, *, grace_s: float, limit: int) -> Sequence[Row[Any]]:
+    """Return id and key of blobs that were doomed longer ago than the grace."""
+    before = func.now() - datetime.timedelta(seconds=grace_s)
+    statement = select(blob.c.id, blob.c.key).where(blob.c.doomed_at < before).order_by(blob.c.doomed_at).limit(limit)
+    return (await db.execute(statement)).all()
+
+
+async def forget_blob(db: Connection, blob_id: uuid.UUID) -> None:
+    """Drop the row of a doomed blob whose object is gone."""
+    await db.execute(delete(blob).where(blob.c.id == blob_id, blob.c.doomed_at.is_not(None)))

@@ -1,0 +1,342 @@
+"""The end of an upload: mark it, let the store join and judge the bytes, then make the file.
+
+Every step can be repeated: by the client that lost the answer, or by the job that finds what a crash left.
+"""
+
+import asyncio
+import datetime
+import uuid
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import Row, bindparam, func, insert, select, update
+
+from kleinkram.contract.errors import (
+    ChecksumMismatch,
+    FileExists,
+    KleinkramError,
+    PathConflict,
+    ProblemDocument,
+    UploadGone,
+    UploadIncomplete,
+    from_problem,
+    to_problem,
+)
+from kleinkram.contract.files import BlobState
+from kleinkram.contract.uploads import (
+    ChecksumKind,
+    Completed,
+    NotCompleted,
+    UploadFinish,
+    UploadOutcome,
+    UploadState,
+)
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.blobs.service import examine_blobs
+from kleinkram.server.db import Connection
+from kleinkram.server.files import service as files
+from kleinkram.server.missions import service as missions
+from kleinkram.server.recordings.service import regroup
+from kleinkram.server.site import Site
+from kleinkram.server.storage import Storage, StoreRefused
+from kleinkram.server.tables import blob, file, person, upload
+from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.service import expected_part_bytes, is_multipart
+
+_AT_ONCE = 16
+_LISTING_WORTH = 4
+
+Failures = dict[uuid.UUID, KleinkramError]
+
+
+async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[UploadFinish]) -> list[UploadOutcome]:
+    """Finish uploads whose parts are all sent; one that fails does not hold up the others. Idempotent."""
+    failures: Failures = {}
+    async with site.database.begin() as db:
+        rows = await _mark(db, actor, finishes, failures)
+    pending = [row for row in rows.values() if row.id not in failures and row.state != UploadState.done.value]
+    failures |= await settle(site, actor, pending)
+    async with site.database.begin() as db:
+        found = await db.execute(select(upload.c.id, upload.c.file_id).where(upload.c.id.in_(list(rows))))
+        made = {row.id: row.file_id for row in found if row.file_id}
+        reads = {read.id: read for read in await files.read_files(db, actor, list(made.values()))}
+    outcomes: list[UploadOutcome] = []
+    for finish in finishes:
+        read = reads.get(made.get(finish.upload_id, finish.upload_id))
+        if read is not None and finish.upload_id not in failures:
+            outcomes.append(Completed(upload_id=finish.upload_id, file=read))
+        else:
+            error = failures.get(finish.upload_id, UploadGone(upload_id=str(finish.upload_id)))
+            problem = to_problem(error, actor.request_id)
+            outcomes.append(NotCompleted(upload_id=finish.upload_id, problem=problem))
+    return outcomes
+
+
+async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures:
+    """Take marked uploads to their end at the store and in the database; return those that failed, and why."""
+    failures = await _join_at_store(site.storage, rows)
+    joined = [row for row in rows if row.id not in failures]
+    by_mission: dict[uuid.UUID, list[Row[Any]]] = {}
+    for row in joined:
+        by_mission.setdefault(row.mission_id, []).append(row)
+    for mission_id, group in by_mission.items():
+        async with site.database.begin() as db:
+            failures |= await _make_files(db, actor, mission_id, group)
+    ended = {key: error for key, error in failures.items() if not isinstance(error, UploadIncomplete)}
+    async with site.database.begin() as db:
+        await _note_failures(db, actor, failures, ended)
+    return failures
+
+
+async def _mark(
+    db: Connection, actor: Actor, finishes: Sequence[UploadFinish], failures: Failures
+) -> dict[uuid.UUID, Row[Any]]:
+    """Mark uploads as being completed, with the hashes that the client states; note those that cannot be."""
+    rows = await queries.locked_uploads(db, actor, [finish.upload_id for finish in finishes])
+    marks = []
+    for finish in finishes:
+        row = rows.get(finish.upload_id)
+        error = _unfit(row, finish)
+        if error is not None:
+            failures[finish.upload_id] = error
+        elif row is not None and row.state != UploadState.done.value:
+            marks.append(
+                {
+                    "b_id": row.id,
+                    "b_sha256": bytes.fromhex(finish.sha256),
+                    "b_crc64nvme": bytes.fromhex(finish.crc64nvme),
+                }
+            )
+    if marks:
+        statement = (
+            update(upload)
+            .where(upload.c.id == bindparam("b_id"))
+            .values(
+                state=UploadState.completing.value,
+                sha256=bindparam("b_sha256"),
+                crc64nvme=bindparam("b_crc64nvme"),
+                completing_since=func.now(),
+            )
+        )
+        await db.execute(statement, marks)
+    ids = [finish.upload_id for finish in finishes]
+    return {row.id: row for row in await db.execute(select(upload).where(upload.c.id.in_(ids)))}
+
+
+def _unfit(row: Row[Any] | None, finish: UploadFinish) -> KleinkramError | None:
+    if row is None:
+        return UploadGone(upload_id=str(finish.upload_id))
+    if row.failure is not None:
+        return from_problem(ProblemDocument.model_validate_json(row.failure))
+    if row.state in {UploadState.aborted.value, UploadState.expired.value}:
+        return UploadGone(upload_id=str(finish.upload_id))
+    if row.state == UploadState.done.value or is_multipart(row):
+        return None
+    if row.signed_checksum is None:
+        return UploadIncomplete(path=row.path, reason="nothing was sent yet")
+    named = {ChecksumKind.crc64nvme.value: finish.crc64nvme, ChecksumKind.sha256.value: finish.sha256}.get(row.checksum)
+    if named is not None and named != row.signed_checksum:
+        return ChecksumMismatch(path=row.path, reason="its checksum was announced differently when it was sent")
+    return None
+
+
+async def _join_at_store(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
+    gate = asyncio.Semaphore(_AT_ONCE)
+
+    async def join(row: Row[Any]) -> tuple[uuid.UUID, KleinkramError | None]:
+        async with gate:
+            return row.id, await _join_parts(storage.proving_by(ChecksumKind(row.checksum)), row)
+
+    failures = await _find_whole(storage, [row for row in rows if not is_multipart(row)])
+    for upload_id, error in await asyncio.gather(*(join(row) for row in rows if is_multipart(row))):
+        if error is not None:
+            failures[upload_id] = error
+    return failures
+
+
+async def _find_whole(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
+    """Find files of one part: their address was signed for one checksum, so what is there is what was named."""
+    sizes: dict[str, int] = {}
+    by_prefix: dict[str, list[Row[Any]]] = {}
+    for row in rows:
+        by_prefix.setdefault(row.key.split("/")[0] + "/", []).append(row)
+    for prefix, group in by_prefix.items():
+        if len(group) >= _LISTING_WORTH:
+            sizes |= await storage.sizes(prefix)
+        else:
+            for row in group:
+                found = await storage.find(row.key)
+                sizes |= {row.key: found.size_bytes} if found else {}
+    return {
+        row.id: UploadIncomplete(path=row.path, reason="the file has not arrived")
+        for row in rows
+        if sizes.get(row.key) != row.size_bytes
+    }
+
+
+async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
+    held = await storage.held_parts(row.key, row.multipart_id) if row.multipart_id else []
+    if held is not None:
+        count = -(-row.size_bytes // row.part_size_bytes)
+        good = {part.number for part in held if part.size_bytes == expected_part_bytes(row, part.number)}
+        missing = sorted(set(range(1, count + 1)) - good)
+        if missing:
+            return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
+        try:
+            await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
+        except StoreRefused as refusal:
+            if await storage.find(row.key) is None:
+                return ChecksumMismatch(path=row.path, reason=str(refusal))
+    stored = await storage.find(row.key)
+    if stored is None:
+        return UploadGone(upload_id=str(row.id))
+    if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
+        return ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
+    return None
+
+
+async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows: Sequence[Row[Any]]) -> Failures:
+    """Make blob and file of each upload, in one transaction with the record and the jobs that follow."""
+    if not await queries.lock_mission(db, actor, mission_id):
+        return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
+    locked = select(upload.c.id).where(
+        upload.c.id.in_([row.id for row in rows]), upload.c.state == UploadState.completing.value
+    )
+    still = set((await db.execute(locked.order_by(upload.c.id).with_for_update())).scalars())
+    rows = [row for row in rows if row.id in still]
+    existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])
+    conflicts = await queries.path_conflicts(db, mission_id, [row.path for row in rows])
+    failures: Failures = {}
+    made: dict[uuid.UUID, uuid.UUID] = {}
+    fresh = []
+    for row in rows:
+        there = existing.get(row.path_key)
+        if row.path in conflicts:
+            failures[row.id] = PathConflict(path=row.path, other=conflicts[row.path])
+        elif there is None or _mends(there, row):
+            fresh.append(row)
+        elif (there.size_bytes, there.sha256) == (row.size_bytes, row.sha256):
+            made[row.id] = there.id  # somebody else linked or moved the same bytes here meanwhile
+        else:
+            failures[row.id] = FileExists(
+                path=row.path,
+                existing_sha256=there.sha256.hex(),
+                given_sha256=row.sha256.hex(),
+                existing_file_id=str(there.id),
+            )
+    made |= await _insert(db, actor, mission_id, fresh, existing)
+    await _close(db, made)
+    return failures
+
+
+def _mends(there: Row[Any], row: Row[Any]) -> bool:
+    unreadable = there.state in {BlobState.lost.value, BlobState.corrupt.value}
+    return unreadable and (there.size_bytes, there.sha256) == (row.size_bytes, row.sha256)
+
+
+async def _insert(
+    db: Connection, actor: Actor, mission_id: uuid.UUID, rows: Sequence[Row[Any]], existing: Mapping[str, Row[Any]]
+) -> dict[uuid.UUID, uuid.UUID]:
+    if not rows:
+        return {}
+    blob_ids = {row.id: uuid.uuid4() for row in rows}
+    await db.execute(insert(blob), [_blob_values(row, blob_ids[row.id]) for row in rows])
+    mended = {row.id: existing[row.path_key].id for row in rows if row.path_key in existing}
+    for upload_id, file_id in mended.items():
+        await db.execute(update(file).where(file.c.id == file_id).values(blob_id=blob_ids[upload_id]))
+    new = {row.id: uuid.uuid4() for row in rows if row.id not in mended}
+    if new:
+        await db.execute(
+            insert(file),
+            [
+                {
+                    "id": new[row.id],
+                    "mission_id": mission_id,
+                    "blob_id": blob_ids[row.id],
+                    "path": row.path,
+                    "path_key": row.path_key,
+                    "origin": "upload",
+                    "uploaded_by_id": row.person_id,
+                }
+                for row in rows
+                if row.id in new
+            ],
+        )
+    made = mended | new
+    project_id = (await missions.get_mission_row(db, actor, mission_id)).project_id
+    await record_all(
+        db,
+        actor,
+        [
+            Event(
+                "file.mend" if row.id in mended else "file.upload",
+                "file",
+                made[row.id],
+                row.path,
+                project_id,
+                after={"size_bytes": row.size_bytes, "sha256": row.sha256.hex()},
+            )
+            for row in rows
+        ],
+    )
+    await examine_blobs(db, list(blob_ids.values()))
+    await regroup(db, mission_id)
+    return made
+
+
+def _blob_values(row: Row[Any], blob_id: uuid.UUID) -> dict[str, object]:
+    # Only a checksum that the store compared itself is kept as its word.
+    verified = row.checksum == ChecksumKind.crc64nvme.value
+    return {
+        "id": blob_id,
+        "store_id": row.store_id,
+        "key": row.key,
+        "size_bytes": row.size_bytes,
+        "crc64nvme": row.crc64nvme if verified else None,
+        "sha256": row.sha256,
+        "uploaded_by_id": row.person_id,
+    }
+
+
+async def _close(db: Connection, made: Mapping[uuid.UUID, uuid.UUID]) -> None:
+    if not made:
+        return
+    # What a blob does not use (the same bytes came in by another way) is cleaned by the sweep.
+    kept = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
+    statement = update(upload).where(upload.c.id == bindparam("b_id"))
+    values = {"state": UploadState.done.value, "file_id": bindparam("b_file_id")}
+    await db.execute(statement.values(**values), [{"b_id": key, "b_file_id": value} for key, value in made.items()])
+    await db.execute(update(upload).where(upload.c.id.in_(list(made)), kept).values(cleaned_at=func.now()))
+
+
+async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended: Failures) -> None:
+    reopened = [upload_id for upload_id in failures if upload_id not in ended]
+    completing = upload.c.state == UploadState.completing.value
+    if reopened:
+        await db.execute(
+            update(upload)
+            .where(upload.c.id.in_(reopened), completing)
+            .values(state=UploadState.open.value, completing_since=None)
+        )
+    for upload_id, error in ended.items():
+        failure = to_problem(error, actor.request_id).model_dump_json()
+        values = {"state": UploadState.aborted.value, "failure": failure}
+        await db.execute(update(upload).where(upload.c.id == upload_id, completing).values(**values))
+
+
+async def finish_stale(site: Site, *, older_than_s: float) -> int:
+    """Finish what a crash left between mark and finish; return how many uploads were looked at."""
+    before = func.now() - datetime.timedelta(seconds=older_than_s)
+    statement = (
+        select(upload, person.c.name.label("person_name"))
+        .join(person, person.c.id == upload.c.person_id)
+        .where(upload.c.state == UploadState.completing.value, upload.c.completing_since < before)
+        .limit(500)
+    )
+    async with site.database.begin() as db:
+        rows = (await db.execute(statement)).all()
+    for row in rows:
+        actor = Actor(row.person_id, row.person_name, None, None)
+        await settle(site, actor, [row])
+    return len(rows)

@@ -1,0 +1,66 @@
+"""The upload protocol over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from kleinkram.contract.paging import Page, PageSize
+from kleinkram.contract.uploads import (
+    PartsSign,
+    SignedParts,
+    UploadBegin,
+    UploadDecisions,
+    UploadOutcomes,
+    UploadRead,
+    UploadsComplete,
+)
+from kleinkram.server.access.actor import CurrentActor
+from kleinkram.server.db import Transaction
+from kleinkram.server.pages import PageRequest
+from kleinkram.server.site import CurrentSite
+from kleinkram.server.uploads import completion, service
+
+router = APIRouter(prefix="/api/v1", tags=["uploads"])
+
+
+@router.post("/missions/{mission_id}/uploads", operation_id="begin_uploads")
+async def begin(mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, site: CurrentSite) -> UploadDecisions:
+    """Say what you want to upload, and hear what to send."""
+    return UploadDecisions(items=await service.begin_uploads(site, actor, mission_id=mission_id, wanted=body.files))
+
+
+@router.get("/missions/{mission_id}/uploads", operation_id="list_uploads")
+async def list_open(
+    mission_id: uuid.UUID,
+    actor: CurrentActor,
+    db: Transaction,
+    limit: Annotated[PageSize, Query()] = 100,
+    cursor: str | None = None,
+) -> Page[UploadRead]:
+    """List your uploads under way into a mission."""
+    return await service.list_uploads(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
+
+
+@router.get("/uploads/{upload_id}", operation_id="get_upload")
+async def get(upload_id: uuid.UUID, actor: CurrentActor, site: CurrentSite) -> UploadRead:
+    """Get one of your uploads, with the parts that the store holds."""
+    return await service.get_upload(site, actor, upload_id=upload_id)
+
+
+@router.post("/uploads/parts", operation_id="sign_parts")
+async def sign(body: PartsSign, actor: CurrentActor, site: CurrentSite) -> SignedParts:
+    """Get the addresses to send parts to; this also renews the leases of their uploads."""
+    return SignedParts(items=await service.sign_parts(site, actor, wanted=body.parts))
+
+
+@router.post("/uploads/complete", operation_id="complete_uploads")
+async def complete(body: UploadsComplete, actor: CurrentActor, site: CurrentSite) -> UploadOutcomes:
+    """Finish uploads whose parts are all sent."""
+    return UploadOutcomes(items=await completion.complete_uploads(site, actor, finishes=body.uploads))
+
+
+@router.delete("/uploads/{upload_id}", operation_id="abort_upload", status_code=204)
+async def abort(upload_id: uuid.UUID, actor: CurrentActor, site: CurrentSite) -> None:
+    """Give up an upload."""
+    await service.abort_upload(site, actor, upload_id=upload_id)

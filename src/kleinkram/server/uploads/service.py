@@ -1,0 +1,357 @@
+"""The upload protocol up to its last part, each step as mark -> store -> finish.
+
+The store is never asked inside a transaction, and a name is never held without a row that says until when.
+"""
+
+import asyncio
+import datetime
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import Row, bindparam, func, update
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.contract.errors import (
+    FieldProblem,
+    InvalidRequest,
+    NameLeased,
+    NotFound,
+    PathConflict,
+    UploadGone,
+    to_problem,
+)
+from kleinkram.contract.files import FileRead
+from kleinkram.contract.names import name_key
+from kleinkram.contract.paging import Page
+from kleinkram.contract.uploads import (
+    ChecksumKind,
+    HashFirst,
+    HeldPart,
+    Linked,
+    PartToSign,
+    Present,
+    Refused,
+    Send,
+    SignedPart,
+    UploadDecision,
+    UploadFile,
+    UploadRead,
+    UploadState,
+    part_size_bytes,
+)
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.db import Connection
+from kleinkram.server.files import service as files
+from kleinkram.server.missions import service as missions
+from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.recordings.service import regroup
+from kleinkram.server.settings import Settings
+from kleinkram.server.site import Site
+from kleinkram.server.storage import PartTarget
+from kleinkram.server.tables import file, upload
+from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.rules import Decision, Known, Way, content_of, decide
+
+_AT_ONCE = 16
+
+
+async def begin_uploads(
+    site: Site, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
+) -> list[UploadDecision]:
+    """Decide about each file, hold the names of those to be sent, and open them at the store.
+
+    Idempotent: asked again with the upload's id, an upload goes on where it was.
+
+    Raises:
+        NotFound: no such mission for `actor`.
+    """
+    async with site.database.begin() as db:
+        decisions = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
+        decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
+        decisions = await _link_twins(db, actor, mission_id=mission_id, decisions=decisions)
+        held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
+        rows = await queries.locked_uploads(db, actor, held)
+    parts = await _open_at_store(site, [row for row in rows.values() if is_multipart(row)])
+    async with site.database.begin() as db:
+        refs = [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]
+        reads = {read.id: read for read in await files.read_files(db, actor, refs)}
+    return [_answer(decision, rows, parts, reads, actor.request_id) for decision in decisions]
+
+
+def is_multipart(row: Row[Any]) -> bool:
+    """Say whether a file goes up in several parts; else it is one plain PUT."""
+    return bool(row.size_bytes > row.part_size_bytes)
+
+
+async def _decide_all(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
+) -> list[Decision]:
+    await missions.get_mission_row(db, actor, mission_id)
+    keys = [name_key(each.path) for each in wanted]
+    contents = [content for each in wanted if (content := content_of(each))]
+    known = Known(
+        files=await queries.live_files(db, mission_id, keys),
+        uploads=await queries.active_uploads(db, mission_id, keys),
+        twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
+        twins=await queries.twins(db, actor, contents) if contents else {},
+        conflicts=await queries.path_conflicts(db, mission_id, [each.path for each in wanted]),
+    )
+    seen: dict[str, str] = {}
+    decisions = []
+    for each, key in zip(wanted, keys, strict=True):
+        if key in seen:
+            error = PathConflict(path=each.path, other=seen[key])
+            decisions.append(Decision(each, Way.refuse, error=error))
+        else:
+            decisions.append(decide(each, known))
+        seen[key] = each.path
+    return decisions
+
+
+async def _hold_names(
+    db: Connection, site: Site, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
+) -> list[Decision]:
+    lapsed = [decision.takes_over for decision in decisions if decision.takes_over]
+    if lapsed:
+        await db.execute(update(upload).where(upload.c.id.in_(lapsed)).values(state=UploadState.aborted.value))
+    resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
+    if resumed:
+        await db.execute(update(upload).where(upload.c.id.in_(resumed)).values(**_renewed(site.settings)))
+    begun = [decision for decision in decisions if decision.way is Way.begin]
+    if not begun:
+        return decisions
+    batch = uuid.uuid4()
+    rows = [_new_upload(site, actor, mission_id, batch, decision.wanted) for decision in begun]
+    statement = upsert(upload).values(rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
+    ids = {row.path: row.id for row in await db.execute(statement)}
+    return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
+
+
+def _renewed(settings: Settings) -> dict[str, Any]:
+    return {
+        "lease_ends_at": func.now() + datetime.timedelta(seconds=settings.upload_lease_s),
+        "expires_at": func.now() + datetime.timedelta(seconds=settings.upload_expires_s),
+    }
+
+
+def _new_upload(
+    site: Site, actor: Actor, mission_id: uuid.UUID, batch: uuid.UUID, wanted: UploadFile
+) -> dict[str, Any]:
+    upload_id = uuid.uuid4()
+    return {
+        "id": upload_id,
+        "mission_id": mission_id,
+        "person_id": actor.person_id,
+        "path": wanted.path,
+        "path_key": name_key(wanted.path),
+        "size_bytes": wanted.size_bytes,
+        "part_size_bytes": part_size_bytes(wanted.size_bytes),
+        "checksum": site.storage.checksum.value,
+        "store_id": site.settings.store_id,
+        # One prefix a request: its small files are then found with one listing.
+        "key": f"{batch}/{upload_id}",
+        **_renewed(site.settings),
+    }
+
+
+def _held(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
+    if upload_id := ids.get(decision.wanted.path):
+        return replace(decision, ref=upload_id)
+    now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
+    return replace(decision, way=Way.refuse, error=NameLeased(path=decision.wanted.path, lease_ends_at=now))
+
+
+async def _link_twins(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
+) -> list[Decision]:
+    """Make files of blobs that are kept already; a file whose own blob is lost or corrupt gets the good one."""
+    linked = [decision for decision in decisions if decision.way is Way.link]
+    if not linked:
+        return decisions
+    rows = [
+        {
+            "id": uuid.uuid4(),
+            "mission_id": mission_id,
+            "blob_id": decision.ref,
+            "path": decision.wanted.path,
+            "path_key": name_key(decision.wanted.path),
+            "origin": "link",
+            "uploaded_by_id": actor.person_id,
+        }
+        for decision in linked
+    ]
+    statement = upsert(file).values(rows)
+    statement = statement.on_conflict_do_update(
+        index_elements=["mission_id", "path_key"],
+        index_where=file.c.deleted_at.is_(None),
+        set_={"blob_id": statement.excluded.blob_id},
+    )
+    made = {row.path: row.id for row in await db.execute(statement.returning(file.c.path, file.c.id))}
+    mission = await missions.get_mission_row(db, actor, mission_id)
+    events = [
+        Event(
+            "file.link",
+            "file",
+            made[d.wanted.path],
+            d.wanted.path,
+            mission.project_id,
+            after={"sha256": d.wanted.sha256},
+        )
+        for d in linked
+    ]
+    await record_all(db, actor, events)
+    await regroup(db, mission_id)
+    return [replace(d, ref=made[d.wanted.path]) if d.way is Way.link else d for d in decisions]
+
+
+async def _open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
+    """Open the multipart uploads that are not open yet, and return the parts that the store holds of each."""
+    gate = asyncio.Semaphore(_AT_ONCE)
+
+    async def open_one(row: Row[Any]) -> tuple[uuid.UUID, str, list[HeldPart]]:
+        async with gate:
+            if row.multipart_id is not None:
+                held = await site.storage.held_parts(row.key, row.multipart_id)
+                if held is not None:
+                    return row.id, row.multipart_id, held
+            return row.id, await site.storage.begin_multipart(row.key), []
+
+    opened = await asyncio.gather(*(open_one(row) for row in rows))
+    fresh = {row.id: row.multipart_id for row in rows}
+    async with site.database.begin() as db:
+        for upload_id, multipart_id, _ in opened:
+            if fresh[upload_id] != multipart_id:
+                await db.execute(update(upload).where(upload.c.id == upload_id).values(multipart_id=multipart_id))
+    return {upload_id: held for upload_id, _, held in opened}
+
+
+def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
+    """Return an upload as its client sees it."""
+    return UploadRead(
+        id=row.id,
+        mission_id=row.mission_id,
+        path=row.path,
+        size_bytes=row.size_bytes,
+        part_size_bytes=row.part_size_bytes,
+        checksum=ChecksumKind(row.checksum),
+        state=UploadState(row.state),
+        lease_ends_at=row.lease_ends_at,
+        expires_at=row.expires_at,
+        parts=list(held),
+    )
+
+
+def _answer(
+    decision: Decision,
+    rows: Mapping[uuid.UUID, Row[Any]],
+    parts: Mapping[uuid.UUID, list[HeldPart]],
+    reads: Mapping[uuid.UUID, FileRead],
+    request_id: str | None,
+) -> UploadDecision:
+    if decision.error is not None:
+        return Refused(path=decision.wanted.path, problem=to_problem(decision.error, request_id))
+    if decision.way is Way.hash_first or decision.ref is None:
+        return HashFirst(path=decision.wanted.path)
+    if decision.way is Way.present:
+        return Present(file=reads[decision.ref])
+    if decision.way is Way.link:
+        return Linked(file=reads[decision.ref])
+    return Send(upload=read_upload(rows[decision.ref], parts.get(decision.ref, [])))
+
+
+async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) -> list[SignedPart]:
+    """Return where to send parts, in the order asked, and renew the leases of their uploads.
+
+    Raises:
+        UploadGone: an upload has ended, or a file of one part was announced with another checksum before.
+        InvalidRequest: a part that the file does not have.
+    """
+    async with site.database.begin() as db:
+        ids = {part.upload_id for part in wanted}
+        rows = await queries.locked_uploads(db, actor, ids)
+        for part in wanted:
+            _check_signable(rows.get(part.upload_id), part)
+        await db.execute(update(upload).where(upload.c.id.in_(ids)).values(**_renewed(site.settings)))
+        whole = [
+            {"b_id": part.upload_id, "checksum": part.checksum}
+            for part in wanted
+            if not is_multipart(rows[part.upload_id]) and rows[part.upload_id].signed_checksum is None
+        ]
+        if whole:
+            statement = update(upload).where(upload.c.id == bindparam("b_id"))
+            await db.execute(statement.values(signed_checksum=bindparam("checksum")), whole)
+    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
+    return [await _sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
+
+
+def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
+    if row is None or row.state != UploadState.open.value or row.is_expired:
+        raise UploadGone(upload_id=str(part.upload_id))
+    if not is_multipart(row) and row.signed_checksum not in {None, part.checksum}:
+        raise UploadGone(upload_id=str(part.upload_id))
+    count = max(1, -(-row.size_bytes // row.part_size_bytes))
+    if part.number > count:
+        message = (
+            f"{row.path!r} has {count} parts of {row.part_size_bytes} bytes; part {part.number} is not one of them"
+        )
+        raise InvalidRequest(problems=[FieldProblem(field="parts.number", message=message)])
+
+
+def expected_part_bytes(row: Row[Any], number: int) -> int:
+    """Return the size of a part, counted from 1: all but the last are alike."""
+    return int(min(row.part_size_bytes, row.size_bytes - (number - 1) * row.part_size_bytes))
+
+
+async def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
+    size_bytes = expected_part_bytes(row, part.number)
+    target = PartTarget(row.key, row.multipart_id, part.number, size_bytes, part.checksum)
+    storage = site.storage.proving_by(ChecksumKind(row.checksum))
+    signed = await storage.sign_part(target, expires_s=site.settings.part_url_s)
+    return SignedPart(
+        upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
+    )
+
+
+async def abort_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> None:
+    """End an upload that is still open; its parts go soon. Nothing happens to one that has ended.
+
+    Raises:
+        NotFound: `actor` began no such upload.
+    """
+    async with site.database.begin() as db:
+        rows = await queries.locked_uploads(db, actor, [upload_id])
+        if upload_id not in rows:
+            raise NotFound(noun="upload", ref=str(upload_id))
+        still_open = (upload.c.id == upload_id) & (upload.c.state == UploadState.open.value)
+        await db.execute(update(upload).where(still_open).values(state=UploadState.aborted.value))
+
+
+async def get_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:
+    """Return an upload with the parts that the store holds.
+
+    Raises:
+        NotFound: `actor` began no such upload.
+    """
+    async with site.database.begin() as db:
+        row = (await db.execute(queries.own_uploads(actor).where(upload.c.id == upload_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="upload", ref=str(upload_id))
+    held = None
+    if row.multipart_id is not None and row.state == UploadState.open.value:
+        held = await site.storage.held_parts(row.key, row.multipart_id)
+    return read_upload(row, held or [])
+
+
+async def list_uploads(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> Page[UploadRead]:
+    """Return the uploads under way into a mission, oldest first, without asking the store for their parts.
+
+    Raises:
+        NotFound: no such mission for `actor`.
+    """
+    await missions.get_mission_row(db, actor, mission_id)
+    statement = queries.own_uploads(actor).where(upload.c.mission_id == mission_id, upload.c.state.in_(queries.ACTIVE))
+    rows = await fetch_page(db, statement, Order([upload.c.created_at, upload.c.id]), page)
+    return Page(items=[read_upload(row, []) for row in rows.items], next=rows.next, total=rows.total)
