@@ -3,14 +3,13 @@
 Never moves the bytes of files; those go straight to the store (`transfer/`). Safe to share between threads.
 """
 
-import functools
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 from urllib.parse import urlencode
 
 import urllib3
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 import kleinkram
 from kleinkram.client._retry import Backoff
@@ -24,8 +23,7 @@ from kleinkram.client.errors import (
 )
 from kleinkram.contract.errors import KleinkramError, ProblemDocument, from_problem
 
-T = TypeVar("T")
-M = TypeVar("M", bound=BaseModel)
+T = TypeVar("T", bound=BaseModel)
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
@@ -34,7 +32,7 @@ _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 
 
-def checked(kind: type[M], what: str, **fields: object) -> M:
+def checked(kind: type[T], what: str, **fields: object) -> T:
     """Return a request model of these fields.
 
     Raises:
@@ -61,11 +59,6 @@ def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
 
 def _text(value: object) -> str:
     return ("true" if value else "false") if isinstance(value, bool) else str(value)
-
-
-@functools.lru_cache(maxsize=64)
-def _adapter(kind: type[object]) -> TypeAdapter[Any]:  # Any: the cache cannot say which adapter belongs to which kind
-    return TypeAdapter(kind)
 
 
 class Api:
@@ -122,8 +115,7 @@ class Api:
             AnswerNotUnderstood: it is not one; server and client are of different versions, or it is no Kleinkram.
         """
         try:
-            adapter: TypeAdapter[T] = _adapter(kind)
-            return adapter.validate_json(answer)
+            return kind.model_validate_json(answer)
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])

@@ -1,0 +1,128 @@
+"""What holds the threads of a transfer together: channels between them, a budget of work ahead, and one way to stop."""
+
+import threading
+import time
+from collections import deque
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Stopped(Exception):
+    """The transfer is being stopped; the thread that sees this goes home."""
+
+
+class Stop:
+    """Says to all threads that it is over, and keeps the first failure that ended it."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._lock = threading.Lock()
+        self._wakers: list[threading.Condition] = []
+        self.failure: BaseException | None = None
+
+    def condition(self) -> threading.Condition:
+        """Return a condition that is notified when it is over."""
+        condition = threading.Condition()
+        with self._lock:
+            self._wakers.append(condition)
+        return condition
+
+    def now(self, failure: BaseException | None = None) -> None:
+        """Stop everything; only the first failure is kept."""
+        with self._lock:
+            if not self._event.is_set():
+                self.failure = failure
+            self._event.set()
+            wakers = [*self._wakers]
+        for condition in wakers:
+            with condition:
+                condition.notify_all()
+
+    def is_set(self) -> bool:
+        """Say whether it is over."""
+        return self._event.is_set()
+
+    def check(self) -> None:
+        """Raise `Stopped` when it is over."""
+        if self._event.is_set():
+            raise Stopped
+
+    def wait(self, seconds: float) -> None:
+        """Wait so long, or raise `Stopped` as soon as it is over."""
+        if self._event.wait(seconds):
+            raise Stopped
+
+
+class Channel(Generic[T]):
+    """Things on their way from one thread to another, in order."""
+
+    def __init__(self, stop: Stop) -> None:
+        self._stop = stop
+        self._items: deque[T] = deque()
+        self._changed = stop.condition()
+
+    def put(self, item: T) -> None:
+        """Add one thing."""
+        self._stop.check()
+        with self._changed:
+            self._items.append(item)
+            self._changed.notify()
+
+    def take(self, at_most: int, timeout_s: float | None = None) -> list[T]:
+        """Return what is there, waiting for a first thing; [] on timeout.
+
+        Raises:
+            Stopped: it is over.
+        """
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._changed:
+            while not self._items:
+                self._stop.check()
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return []
+                self._changed.wait(left)
+            self._stop.check()
+            return [self._items.popleft() for _ in range(min(at_most, len(self._items)))]
+
+
+class Budget:
+    """So much may be under way at once; more waits. One thing that is larger than all of it may go alone."""
+
+    def __init__(self, stop: Stop, limit: int) -> None:
+        self._stop = stop
+        self._limit = limit
+        self._used = 0
+        self._changed = stop.condition()
+
+    def acquire(self, amount: int) -> None:
+        """Wait until there is room for `amount`, and take it.
+
+        Raises:
+            Stopped: it is over.
+        """
+        with self._changed:
+            while self._used > 0 and self._used + amount > self._limit:
+                self._stop.check()
+                self._changed.wait()
+            self._stop.check()
+            self._used += amount
+
+    def release(self, amount: int) -> None:
+        """Give `amount` back."""
+        with self._changed:
+            self._used -= amount
+            self._changed.notify_all()
+
+    def wait_until_free(self) -> None:
+        """Wait until nothing is under way.
+
+        Raises:
+            Stopped: it is over.
+        """
+        with self._changed:
+            while self._used > 0:
+                self._stop.check()
+                self._changed.wait()
+            self._stop.check()

@@ -1,0 +1,287 @@
+"""The threads of an upload: the caller's hashes, one signs, some send, one finishes.
+
+Each byte is read once for its checksums; senders read their part again, from the page cache, as the body of its PUT.
+So memory is a slice a thread, and a part whose bytes changed in between is refused by the store, which checks it
+against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
+"""
+
+import contextlib
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+
+from kleinkram.client._http import store_unreachable
+from kleinkram.client._retry import Backoff
+from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
+from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
+from kleinkram.client.transfer._sending import Part, Sending
+from kleinkram.client.transfer._store import PATIENCE_S, Answer, PutAnswer, StoreDoor
+from kleinkram.client.transfer.outcome import Outcome, TransferResult
+from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.progress import Watcher
+from kleinkram.client.uploads import Uploads
+from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete, from_problem
+from kleinkram.contract.uploads import Completed, NotCompleted, SignedPart
+
+AHEAD_BYTES = 128 * 1024 * 1024
+_PART_COST = 512 * 1024  # what the smallest part counts, so that open files are bounded too
+_FILES_UNDER_WAY = 256
+_AT_ONCE = 100
+_RENEW_S = 20.0
+_REFUSALS = 4
+
+_OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
+
+
+class Pipeline:
+    """Takes uploads that the server has agreed to, sends their parts and finishes them.
+
+    `ended` is called once a file, from any thread. A failure of one file ends that file; any other stops everything.
+    """
+
+    def __init__(
+        self,
+        uploads: Uploads,
+        stop: Stop,
+        *,
+        pace: Pace,
+        watcher: Watcher,
+        ended: Callable[[TransferResult], None],
+    ) -> None:
+        self._uploads = uploads
+        self._stop = stop
+        self._pace = pace
+        self._watcher = watcher
+        self._ended = ended
+        self._ahead = Budget(stop, AHEAD_BYTES)
+        self._under_way = Budget(stop, _FILES_UNDER_WAY)
+        self._to_sign: Channel[Part] = Channel(stop)
+        self._to_send: Channel[tuple[Part, SignedPart]] = Channel(stop)
+        self._to_finish: Channel[Sending] = Channel(stop)
+        self._open: dict[uuid.UUID, Sending] = {}
+        self._leases: dict[uuid.UUID, Sending] = {}
+        self._threads: list[threading.Thread] = []
+
+    def start(self, connections: int) -> None:
+        """Start the threads; so many send."""
+        self._store = StoreDoor(connections)
+        loops = [self._sign_loop, self._finish_loop, *[self._send_loop] * connections]
+        self._threads = [threading.Thread(target=self._guard, args=(loop,), daemon=True) for loop in loops]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, sending: Sending) -> None:
+        """Hash an upload's parts and queue those that the store does not hold; waits while enough is under way.
+
+        Raises:
+            Stopped: it is over.
+        """
+        self._under_way.acquire(1)
+        self._open[sending.upload.id] = sending
+        self._leases[sending.upload.id] = sending
+        try:
+            for number, offset, size in sending.ranges():
+                if sending.ended:
+                    break
+                self._queue_part(sending, number, offset, size)
+        except (FileChanged, FileUnreadable) as error:
+            self._fail(sending, error)
+        self._count_done(sending)
+
+    def drain(self) -> None:
+        """Wait until every upload submitted has ended.
+
+        Raises:
+            Stopped: it is over.
+        """
+        self._under_way.wait_until_free()
+
+    def close(self) -> None:
+        """Send the threads home and close what is open; journals stay for the next run."""
+        self._stop.now()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
+        for sending in self._open.values():
+            sending.source.close()
+            sending.journal.close()
+        self._store.close()
+
+    def _guard(self, loop: Callable[[], None]) -> None:
+        try:
+            loop()
+        except Stopped:
+            return
+        except BaseException as error:  # carried to the caller's thread, which raises it
+            self._stop.now(error)
+
+    def _queue_part(self, sending: Sending, number: int, offset: int, size_bytes: int) -> None:
+        self._stop.check()
+        checksum = sending.hash_part(number, offset, size_bytes)
+        if sending.is_held(number, size_bytes, checksum):
+            self._watcher.held(sending.file.path, size_bytes, sending.file.size_bytes)
+            return
+        cost = max(size_bytes, _PART_COST)
+        self._ahead.acquire(cost)
+        sending.add_part()
+        self._to_sign.put(Part(sending, number, offset, size_bytes, checksum, cost))
+
+    # -- signing ------------------------------------------------------------------------------------------------------
+
+    def _sign_loop(self) -> None:
+        while True:
+            parts = self._to_sign.take(_AT_ONCE, _RENEW_S)
+            for part in parts:
+                if part.sending.ended:
+                    self._part_over(part)
+            self._sign([part for part in parts if not part.sending.ended])
+            self._renew_leases()
+
+    def _sign(self, parts: Sequence[Part]) -> None:
+        if not parts:
+            return
+        try:
+            signed = self._uploads.sign([part.to_sign() for part in parts])
+        except (UploadGone, NotFound) as error:
+            self._sign_apart(parts, error)
+            return
+        for part, one in zip(parts, signed.items, strict=True):
+            part.sending.renewed_at = time.monotonic()
+            self._to_send.put((part, one))
+
+    def _sign_apart(self, parts: Sequence[Part], error: KleinkramError) -> None:
+        """One of several uploads has ended: find out which, so that the others go on."""
+        uploads = {part.sending.upload.id: part.sending for part in parts}
+        if len(uploads) == 1:
+            for part in parts:
+                self._fail(part.sending, error)
+                self._part_over(part)
+            return
+        for sending in uploads.values():
+            self._sign([part for part in parts if part.sending is sending])
+
+    def _renew_leases(self) -> None:
+        due = time.monotonic() - _RENEW_S
+        for sending in [*self._leases.values()]:
+            if sending.renewed_at < due and sending.latest is not None and not sending.ended:
+                sending.renewed_at = time.monotonic()
+                try:
+                    self._uploads.sign([sending.latest])
+                except (UploadGone, NotFound) as error:
+                    self._fail(sending, error)
+
+    # -- sending ------------------------------------------------------------------------------------------------------
+
+    def _send_loop(self) -> None:
+        while True:
+            for part, signed in self._to_send.take(1):
+                try:
+                    if not part.sending.ended:
+                        self._send(part, signed)
+                except _OF_ONE_FILE as error:
+                    self._fail(part.sending, error)
+                self._part_over(part)
+
+    def _send(self, part: Part, signed: SignedPart) -> None:
+        backoff = Backoff(PATIENCE_S, self._stop.wait)
+        refusals = 0
+        while True:
+            answer = self._put(part, signed)
+            if answer.answer is Answer.taken:
+                part.sending.record(part, answer.etag)
+                return
+            if answer.answer is Answer.gone:
+                raise UploadGone(upload_id=str(part.sending.upload.id))
+            if answer.answer is Answer.try_again:
+                if not backoff.pause():
+                    raise self._gave_up(signed.url, part, answer)
+            else:
+                part.sending.source.check_unchanged()
+                refusals += 1
+                if refusals >= _REFUSALS:
+                    raise TransferFailed(path=part.sending.file.path, reason=answer.reason)
+            signed = self._uploads.sign([part.to_sign()]).items[0]
+
+    def _put(self, part: Part, signed: SignedPart) -> PutAnswer:
+        moved = [0]
+        answer = self._store.put(signed.url, signed.headers, part.size_bytes, self._body(part, moved))
+        if answer.answer is not Answer.taken:
+            self._watcher.moved(part.sending.file.path, -moved[0], part.sending.file.size_bytes)
+        return answer
+
+    def _body(self, part: Part, moved: list[int]) -> Iterator[memoryview]:
+        for view in part.sending.source.slices(part.offset, part.size_bytes):
+            self._stop.check()
+            self._pace.spend(len(view), self._stop.wait)
+            yield view
+            moved[0] += len(view)
+            self._watcher.moved(part.sending.file.path, len(view), part.sending.file.size_bytes)
+
+    def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
+        if answer.error is not None:
+            return store_unreachable(url, answer.error)
+        return TransferFailed(path=part.sending.file.path, reason=answer.reason)
+
+    # -- finishing ----------------------------------------------------------------------------------------------------
+
+    def _finish_loop(self) -> None:
+        while True:
+            ready = [sending for sending in self._to_finish.take(_AT_ONCE) if self._is_unchanged(sending)]
+            if not ready:
+                continue
+            outcomes = self._uploads.complete([sending.to_finish() for sending in ready])
+            for sending, outcome in zip(ready, outcomes.items, strict=True):
+                self._finished(sending, outcome)
+                self._release(sending)
+
+    def _is_unchanged(self, sending: Sending) -> bool:
+        try:
+            sending.source.check_unchanged()
+        except FileChanged as error:
+            self._fail(sending, error)
+            self._release(sending)
+            return False
+        return True
+
+    def _finished(self, sending: Sending, outcome: Completed | NotCompleted) -> None:
+        if isinstance(outcome, NotCompleted):
+            self._fail(sending, from_problem(outcome.problem))
+        elif sending.end():
+            sending.journal.forget()
+            file = outcome.file
+            self._ended(sending.result(Outcome.uploaded, file_id=file.id, sha256=file.sha256))
+
+    # -- ends ---------------------------------------------------------------------------------------------------------
+
+    def _fail(self, sending: Sending, error: KleinkramError) -> None:
+        """End one file's upload; the others go on. What can be resumed keeps its journal."""
+        self._stop.check()
+        if not sending.end():
+            return
+        if isinstance(error, FileChanged):
+            with contextlib.suppress(KleinkramError):  # it expires by itself where this cannot be said
+                self._uploads.abort(sending.upload.id)
+        if not isinstance(error, TransferFailed | UploadIncomplete | FileUnreadable):
+            sending.journal.forget()
+        self._ended(sending.result(Outcome.refused, error=error))
+
+    def _part_over(self, part: Part) -> None:
+        self._ahead.release(part.cost)
+        self._count_done(part.sending)
+
+    def _count_done(self, sending: Sending) -> None:
+        if not sending.part_done():
+            return
+        if sending.ended:
+            self._release(sending)
+        else:
+            self._leases.pop(sending.upload.id, None)
+            self._to_finish.put(sending)
+
+    def _release(self, sending: Sending) -> None:
+        """Close what a file's upload held open. Only once no thread reads it any more."""
+        self._leases.pop(sending.upload.id, None)
+        self._open.pop(sending.upload.id, None)
+        sending.source.close()
+        sending.journal.close()
+        self._under_way.release(1)

@@ -1,0 +1,127 @@
+"""The one door to the object store: PUT and GET of signed URLs, with what each answer means.
+
+Knows nothing of uploads or files. One pool of connections, shared by the threads of a transfer.
+"""
+
+import enum
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import cast
+
+import urllib3
+
+CONNECT_TIMEOUT_S = 10.0
+READ_TIMEOUT_S = 120.0
+PATIENCE_S = 240.0
+
+_CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
+
+
+class Answer(enum.Enum):
+    """What the store's answer means for whoever asked."""
+
+    taken = enum.auto()
+    try_again = enum.auto()
+    sign_again = enum.auto()
+    gone = enum.auto()
+    refused = enum.auto()
+
+
+@dataclass(frozen=True)
+class PutAnswer:
+    """What became of a PUT: the etag when taken, else the store's word for why not."""
+
+    answer: Answer
+    etag: str = ""
+    reason: str = ""
+    error: BaseException | None = None
+
+
+class StoreDoor:
+    """Connections to the store."""
+
+    def __init__(self, connections: int) -> None:
+        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
+        self._pool = urllib3.PoolManager(maxsize=connections, retries=False, timeout=timeout)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._pool.clear()
+
+    def put(self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[memoryview]) -> PutAnswer:
+        """PUT so many bytes, sent as they come from `body`."""
+        headers = {**headers, "Content-Length": str(size_bytes)}
+        try:
+            answer = self._pool.request("PUT", url, body=cast("Iterable[bytes]", body), headers=headers, redirect=False)
+        except urllib3.exceptions.HTTPError as error:
+            return PutAnswer(Answer.try_again, error=error)
+        if answer.status < 300:
+            return PutAnswer(Answer.taken, etag=answer.headers.get("ETag", "").strip('"'))
+        return PutAnswer(meaning(answer.status), reason=_reason(answer.status, answer.data))
+
+    def get(self, url: str, first: int, last: int, slice_bytes: int) -> "GetAnswer":
+        """GET the bytes first..last, both inclusive; the answer must be closed."""
+        headers = {"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}
+        try:
+            answer = self._pool.request(
+                "GET", url, headers=headers, redirect=False, preload_content=False, decode_content=False
+            )
+        except urllib3.exceptions.HTTPError as error:
+            return GetAnswer(Answer.try_again, None, slice_bytes, error=error)
+        whole = answer.status == 200 and first == 0
+        if answer.status == 206 or whole:
+            return GetAnswer(Answer.taken, answer, slice_bytes)
+        reason = _reason(answer.status, answer.read(2000))
+        answer.close()
+        return GetAnswer(meaning(answer.status), None, slice_bytes, reason=reason)
+
+
+class GetAnswer:
+    """The answer to a GET: its meaning, and its bytes when the store gives them."""
+
+    def __init__(
+        self,
+        answer: Answer,
+        response: urllib3.BaseHTTPResponse | None,
+        slice_bytes: int,
+        *,
+        reason: str = "",
+        error: BaseException | None = None,
+    ) -> None:
+        self.answer = answer
+        self.reason = reason
+        self.error = error
+        self._response = response
+        self._slice_bytes = slice_bytes
+
+    def slices(self) -> Iterator[bytes]:
+        """Yield the bytes.
+
+        Raises:
+            urllib3.exceptions.HTTPError: the connection ended early.
+        """
+        if self._response is not None:
+            yield from self._response.stream(self._slice_bytes, decode_content=False)
+            self._response.release_conn()
+
+    def close(self) -> None:
+        """Drop what has not been read."""
+        if self._response is not None:
+            self._response.close()
+
+
+def meaning(status: int) -> Answer:
+    """Return what a status other than success means."""
+    if status == 403:
+        return Answer.sign_again
+    if status in {404, 410}:
+        return Answer.gone
+    if status in {408, 429} or status >= 500:
+        return Answer.try_again
+    return Answer.refused
+
+
+def _reason(status: int, body: bytes) -> str:
+    code = _CODE.search(body)
+    return f"the store answered {status} {code.group(1).decode() if code else ''}".rstrip()

@@ -1,0 +1,260 @@
+"""Announcing files to the server, and acting on what it decides for each. The bytes are the pipeline's.
+
+Files are announced a batch at a time, just before they are sent, so that no lease runs out while others are sent.
+"""
+
+import contextlib
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
+from kleinkram.client.transfer._flow import Stop, Stopped
+from kleinkram.client.transfer._pipeline import Pipeline
+from kleinkram.client.transfer._sending import Sending
+from kleinkram.client.transfer._source import Source, WholeHash
+from kleinkram.client.transfer._store import PATIENCE_S
+from kleinkram.client.transfer.journal import Journal, JournalHead, open_journal
+from kleinkram.client.transfer.outcome import Outcome, TransferResult
+from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.plan import LocalFile
+from kleinkram.client.transfer.progress import Watcher
+from kleinkram.client.uploads import Uploads
+from kleinkram.contract.errors import KleinkramError, NameLeased, UploadGone, from_problem
+from kleinkram.contract.uploads import (
+    MIN_PART_BYTES,
+    HashFirst,
+    Linked,
+    Present,
+    Refused,
+    UploadDecision,
+    UploadFile,
+    UploadRead,
+)
+
+_BATCH_FILES = 64
+_BATCH_BYTES = 32 * 1024 * 1024
+_LEASE_PATIENCE_S = 90.0
+_LEASE_POLL_S = 2.0
+
+
+@dataclass
+class Candidate:
+    """A file about to be announced: open, its journal locked, its checksums where they are known."""
+
+    source: Source
+    journal: Journal
+    whole: WholeHash | None = None
+
+    def announcement(self) -> UploadFile:
+        """Return what the server is told."""
+        said: dict[str, object] = {"path": self.source.file.path, "size_bytes": self.source.file.size_bytes}
+        if self.whole is not None:
+            said["sha256"] = self.whole.sha256.hexdigest()
+        if self.journal.remembered is not None:
+            said["upload_id"] = self.journal.remembered.upload_id
+        return UploadFile.model_validate(said)
+
+    def hash_whole(self, check: Callable[[], None]) -> None:
+        """Read all of the file for its checksums; `check` may end it between two slices."""
+        whole = WholeHash()
+        for view in self.source.slices(0, self.source.file.size_bytes):
+            check()
+            whole.update(view)
+        self.whole = whole
+
+    def close(self) -> None:
+        """Close the file and its journal."""
+        self.source.close()
+        self.journal.close()
+
+
+class Uploader:
+    """One run of an upload into one mission. `ended` is called once a file, with its end; from any thread."""
+
+    def __init__(
+        self,
+        uploads: Uploads,
+        server: str,
+        mission_id: uuid.UUID,
+        *,
+        pace: Pace,
+        watcher: Watcher,
+        ended: Callable[[TransferResult], None],
+    ) -> None:
+        self._stop = Stop()
+        self._uploads = uploads.with_patience(PATIENCE_S, self._stop.wait)
+        self._server = server
+        self._mission_id = mission_id
+        self._watcher = watcher
+        self._ended = ended
+        self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)
+        self._leased: dict[LocalFile, NameLeased] = {}
+
+    def run(self, files: Sequence[LocalFile], connections: int) -> None:
+        """Upload the files; returns when each has ended.
+
+        Raises:
+            KleinkramError: something that concerns all files; those that had not ended have not been uploaded.
+        """
+        self._pipeline.start(connections)
+        try:
+            with contextlib.suppress(Stopped):
+                for batch in batches(files):
+                    self._announce(batch)
+                self._settle_leased()
+                self._pipeline.drain()
+        finally:
+            self._pipeline.close()
+        if self._stop.failure is not None:
+            raise self._stop.failure
+
+    def _announce(self, batch: Sequence[LocalFile]) -> None:
+        asking = [candidate for file in batch if (candidate := self._opened(file)) is not None]
+        try:
+            while asking:
+                self._stop.check()
+                decisions = self._uploads.begin(self._mission_id, [candidate.announcement() for candidate in asking])
+                answered = zip(asking, decisions.items, strict=True)
+                asking = [candidate for candidate, decision in answered if self._asks_again(candidate, decision)]
+        except BaseException:
+            self._stop.now()
+            for candidate in asking:
+                candidate.close()
+            raise
+
+    def _opened(self, file: LocalFile) -> Candidate | None:
+        """Open a file and its journal, and hash it when it is small."""
+        journal: Journal | None = None
+        source: Source | None = None
+        try:
+            journal = open_journal(self._server, self._mission_id, file)
+            source = Source(file)
+            candidate = Candidate(source, journal)
+            self._drop_other_size(candidate)
+            if file.size_bytes <= MIN_PART_BYTES:
+                candidate.hash_whole(self._stop.check)
+                source.check_unchanged()
+        except (FileChanged, FileUnreadable, UploadElsewhere) as error:
+            for opened in (journal, source):
+                if opened is not None:
+                    opened.close()
+            self._end_refused(file, error)
+            return None
+        return candidate
+
+    def _drop_other_size(self, candidate: Candidate) -> None:
+        remembered = candidate.journal.remembered
+        if remembered is not None and remembered.size_bytes != candidate.source.file.size_bytes:
+            with contextlib.suppress(KleinkramError):  # it expires by itself where this cannot be said
+                self._uploads.abort(remembered.upload_id)
+            candidate.journal.remembered = None
+
+    def _asks_again(self, candidate: Candidate, decision: UploadDecision) -> bool:
+        """Act on the server's decision; return True when it wants to be asked again, with what it lacked."""
+        file = candidate.source.file
+        if isinstance(decision, HashFirst):
+            return self._hash_first(candidate)
+        if isinstance(decision, Refused):
+            return self._refused(candidate, from_problem(decision.problem))
+        if isinstance(decision, Present | Linked):
+            candidate.journal.forget()
+            candidate.close()
+            self._watcher.held(file.path, file.size_bytes, file.size_bytes)
+            outcome = Outcome(decision.decision)
+            kept = decision.file
+            result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, kept.id, kept.sha256)
+            self._ended(result)
+        else:
+            self._hash_and_queue(candidate, decision.upload)
+        return False
+
+    def _hash_first(self, candidate: Candidate) -> bool:
+        file = candidate.source.file
+        if candidate.whole is not None:
+            error = TransferFailed(path=file.path, reason="the server asks for a checksum that it was given")
+            return self._refused(candidate, error)
+        try:
+            candidate.hash_whole(self._stop.check)
+            candidate.source.check_unchanged()
+        except (FileChanged, FileUnreadable) as unusable:
+            return self._refused(candidate, unusable)
+        return True
+
+    def _refused(self, candidate: Candidate, error: KleinkramError) -> bool:
+        if isinstance(error, UploadGone) and candidate.journal.remembered is not None:
+            candidate.journal.remembered = None
+            return True
+        file = candidate.source.file
+        candidate.close()
+        if isinstance(error, NameLeased):
+            self._leased[file] = error
+        else:
+            self._end_refused(file, error)
+        return False
+
+    def _hash_and_queue(self, candidate: Candidate, upload: UploadRead) -> None:
+        file = candidate.source.file
+        head = JournalHead(
+            server=self._server,
+            mission_id=self._mission_id,
+            path=file.path,
+            source=str(file.source.absolute()),
+            size_bytes=file.size_bytes,
+            upload_id=upload.id,
+        )
+        candidate.journal.begin(head, durable=file.size_bytes > upload.part_size_bytes)
+        self._pipeline.submit(Sending(candidate.source, candidate.journal, upload, candidate.whole))
+
+    def _settle_leased(self) -> None:
+        """Wait for names that another client holds; one that died holds them for a minute at most.
+
+        A lease that is renewed meanwhile belongs to a client that lives: that file is refused at once.
+        """
+        gives_up_at = time.monotonic() + _LEASE_PATIENCE_S
+        waiting, self._leased = self._leased, {}
+        if waiting:
+            self._watcher.said(f"waiting for {_named(waiting)}: held by an upload that may have died")
+        while waiting:
+            if time.monotonic() > gives_up_at:
+                self._end_all(waiting)
+                return
+            self._stop.wait(_LEASE_POLL_S)
+            self._announce([*waiting])
+            again, self._leased = self._leased, {}
+            waiting, renewed = (
+                {file: error for file, error in again.items() if _same_lease(error, waiting[file]) is same}
+                for same in (True, False)
+            )
+            self._end_all(renewed)
+
+    def _end_all(self, refused: Mapping[LocalFile, KleinkramError]) -> None:
+        for file, error in refused.items():
+            self._end_refused(file, error)
+
+    def _end_refused(self, file: LocalFile, error: KleinkramError) -> None:
+        self._ended(TransferResult(file.path, file.source, file.size_bytes, Outcome.refused, error=error))
+
+
+def batches(files: Iterable[LocalFile]) -> Iterator[list[LocalFile]]:
+    """Yield files to announce together, in order: a few large ones are not hashed ahead, many small ones are."""
+    batch: list[LocalFile] = []
+    size = 0
+    for file in files:
+        if batch and (len(batch) == _BATCH_FILES or size + file.size_bytes > _BATCH_BYTES):
+            yield batch
+            batch, size = [], 0
+        batch.append(file)
+        size += file.size_bytes
+    if batch:
+        yield batch
+
+
+def _same_lease(now: NameLeased, then: NameLeased) -> bool:
+    return now.lease_ends_at == then.lease_ends_at
+
+
+def _named(files: Iterable[LocalFile]) -> str:
+    paths = [file.path for file in files]
+    return paths[0] if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
