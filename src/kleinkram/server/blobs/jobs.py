@@ -28,7 +28,7 @@ from kleinkram.recordings import (
 from kleinkram.server.blobs import service
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.site import Site
-from kleinkram.server.trash.service import empty_trash
+from kleinkram.server.trash.emptying import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 _ATTEMPTS = 5

@@ -1,0 +1,64 @@
+# One verb per chore, at home as in CI. Each sets up what it needs.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
+
+.PHONY: setup demo story test test-all soak check bench dev requirements generated clean
+
+setup: $(STAMP)
+
+$(STAMP): requirements/dev.txt pyproject.toml
+	@if command -v uv >/dev/null 2>&1; then \
+	  test -x $(BIN)/python || uv venv --quiet --python $(PYTHON) $(VENV); \
+	  uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/dev.txt \
+	  && uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .; \
+	else \
+	  test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt \
+	  && $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .; \
+	fi
+	@touch $@
+
+demo: setup
+	@$(BIN)/python examples/demo.py
+
+story: setup
+	@$(BIN)/python examples/demo.py --story
+
+test: setup
+	@$(BIN)/python -m pytest -m "not slow" -q
+
+test-all: setup
+	@$(BIN)/python -m pytest -m slow -q
+
+soak: setup
+	@$(BIN)/python -m pytest -m soak -q -p no:timeout
+
+check: setup
+	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-cache | tail -n 4
+	@$(BIN)/python docs/generate.py --check
+	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
+	@echo "check: all good"
+
+bench: setup
+	@$(BIN)/python -m benchmarks
+
+dev: setup
+	@$(BIN)/klein up --data-dir .demo/dev
+
+generated: setup
+	@$(BIN)/python docs/generate.py
+
+requirements:
+	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
+	  --no-header --extra server --group dev pyproject.toml -o requirements/dev.txt
+	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
+	  --no-header --extra server pyproject.toml -c requirements/dev.txt -o requirements/server.txt
+
+clean:
+	rm -rf .demo .bench .mypy_cache .ruff_cache .pytest_cache dist build
