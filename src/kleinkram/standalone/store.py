@@ -72,6 +72,7 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
         "-s3.autoCreateBucket=false",
         f"-s3.localSocket={_socket(store, 's3')}",
         f"-filer.localSocket={_socket(store, 'filer')}",
+        "-volume.preStopSeconds=0",
         "-master.telemetry=false",
         "-admin.ui=false",
         "-webdav=false",

@@ -1,8 +1,10 @@
 """Starting, ending, dying and recovering."""
 
+import json
 import os
 import signal
 import subprocess
+from functools import partial
 from urllib.parse import urlsplit
 
 import pytest
@@ -12,7 +14,6 @@ from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import NotRunning
 from kleinkram.standalone.health import is_ready
 from kleinkram.standalone.leftovers import stop_instance
-from kleinkram.standalone.plan import UpOptions, make_plan
 from kleinkram.standalone.procs import start_ticks
 from tests.integration.standalone.conftest import Instance, wait_until
 
@@ -26,6 +27,10 @@ def _store_access(instance: Instance) -> s3.StoreAccess:
 
 def _answers(instance: Instance) -> bool:
     return is_ready(instance.told["url"]) and s3.proves_ready(_store_access(instance), store.BUCKET)
+
+
+def _runs_again(instance: Instance, part: str, killed: int) -> bool:
+    return instance.told["parts"][part] not in (None, killed)
 
 
 def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> None:
@@ -88,7 +93,7 @@ def test_every_part_that_is_killed_comes_back(shared_instance: Instance) -> None
     for part in PARTS:
         pid = shared_instance.told["parts"][part]
         os.kill(pid, signal.SIGKILL)
-        wait_until(lambda part=part, pid=pid: shared_instance.told["parts"][part] not in (None, pid))
+        wait_until(partial(_runs_again, shared_instance, part, pid))
     wait_until(lambda: _answers(shared_instance))
     stop_instance(DataDir(shared_instance.data_dir))
     said = process.communicate(timeout=10)[1]
@@ -114,8 +119,6 @@ def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_in
 
 
 def test_each_process_is_told_what_it_needs_and_no_more(shared_instance: Instance) -> None:
-    import json
-
     shared_instance.up()
     told = {
         name: json.loads((shared_instance.data_dir / f"told-{name}.json").read_text())
