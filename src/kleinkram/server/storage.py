@@ -147,7 +147,8 @@ class Storage:
             arguments = {"ChecksumCRC64NVME": base64.b64encode(crc64nvme).decode(), "ChecksumType": "FULL_OBJECT"}
         elif self.checksum is ChecksumKind.sha256:
             for entry, part in zip(listing, parts, strict=True):
-                entry["ChecksumSHA256"] = part["ChecksumSHA256"]
+                # Some stores verify it and do not list it; those that list it want it back.
+                entry |= {"ChecksumSHA256": part["ChecksumSHA256"]} if "ChecksumSHA256" in part else {}
         await self._call(
             "complete_multipart_upload",
             Bucket=self.bucket,
