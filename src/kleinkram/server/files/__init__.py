@@ -1,0 +1,1 @@
+"""Files: names in a mission for bytes in a store."""

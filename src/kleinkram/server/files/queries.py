@@ -1,0 +1,165 @@
+"""What is asked of files. Functions return selects; they touch no connection."""
+
+import uuid
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import BigInteger, ColumnElement, Row, Select, Update, and_, func, literal, or_, select, update
+
+from kleinkram.contract.files import FileFilter, FileProblem, FileRead, FileSort, TopicRead
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.names import name_key
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.pages import Order
+from kleinkram.server.search.matching import narrow_files
+from kleinkram.server.tables import blob, file, mission, person, project, topic
+
+_LAST, _FIRST = 2**63 - 1, -(2**63)
+
+_COLUMNS: tuple[ColumnElement[Any], ...] = (
+    file.c.id,
+    file.c.path,
+    file.c.recording_id,
+    file.c.labels,
+    file.c.origin,
+    file.c.created_at,
+    file.c.mission_id,
+    mission.c.name.label("mission_name"),
+    mission.c.project_id,
+    project.c.name.label("project_name"),
+    file.c.uploaded_by_id,
+    person.c.name.label("uploaded_by_name"),
+    blob.c.id.label("blob_id"),
+    blob.c.key,
+    *(
+        blob.c[name]
+        for name in (
+            "size_bytes",
+            "state",
+            "state_reason",
+            "content",
+            "content_reason",
+            "format",
+            "sha256",
+            "md5",
+            "crc64nvme",
+            "proven_at",
+            "message_count",
+            "start_ns",
+            "end_ns",
+            "compression",
+            "problems",
+        )
+    ),
+)
+
+
+def file_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
+    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
+    return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
+
+
+def to_file(row: Row[Any]) -> FileRead:
+    """Return the file that a row of `file_rows` stands for."""
+    return FileRead(
+        id=row.id,
+        mission=MissionRef(
+            id=row.mission_id,
+            name=row.mission_name,
+            project=ProjectRef(id=row.project_id, name=row.project_name),
+        ),
+        path=row.path,
+        size_bytes=row.size_bytes,
+        state=row.state,
+        state_reason=row.state_reason,
+        content=row.content,
+        content_reason=row.content_reason,
+        format=row.format,
+        recording_id=row.recording_id,
+        sha256=_hex(row.sha256),
+        md5=_hex(row.md5),
+        crc64nvme=_hex(row.crc64nvme),
+        proven_at=row.proven_at,
+        labels=row.labels,
+        origin=row.origin,
+        uploaded_by=PersonRef(id=row.uploaded_by_id, name=row.uploaded_by_name),
+        created_at=row.created_at,
+        message_count=row.message_count,
+        start_ns=row.start_ns,
+        end_ns=row.end_ns,
+        compression=row.compression,
+        problems=[FileProblem(**problem) for problem in row.problems],
+    )
+
+
+def _hex(digest: bytes | None) -> str | None:
+    return None if digest is None else digest.hex()
+
+
+def files_by_id(actor: Actor, file_ids: Sequence[uuid.UUID]) -> Select[Any]:
+    """Return the visible files among some ids."""
+    return file_rows(visible_files(actor).where(file.c.id.in_(file_ids)))
+
+
+def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
+    """Return the visible files that match."""
+    return file_rows(narrow_files(visible_files(actor), matching))
+
+
+def file_order(sort: FileSort) -> Order:
+    """Return a list's order. Files without a time come last, whichever way the list runs."""
+    descending = sort.value.startswith("-")
+    key = sort.value.removeprefix("-")
+    if key == "path":
+        return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
+    unknown = literal(_FIRST if descending else _LAST, BigInteger)
+    columns: dict[str, ColumnElement[Any]] = {
+        "created": file.c.created_at,
+        "size": blob.c.size_bytes,
+        "start": func.coalesce(blob.c.start_ns, unknown),
+    }
+    return Order([columns[key], file.c.id], descending)
+
+
+def topic_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the topics of the files of a select that began with `visible_files`, as `to_topic` reads them."""
+    columns = [column for column in topic.c if column.name not in {"id", "blob_id"}]
+    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
+    return narrowed.join(topic, topic.c.blob_id == blob.c.id)
+
+
+TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
+
+
+def to_topic(row: Row[Any]) -> TopicRead:
+    """Return the topic that a row of `topic_rows` stands for."""
+    return TopicRead.model_validate({name: row._mapping[name] for name in TopicRead.model_fields})
+
+
+def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+    """Return the topics of one visible file."""
+    return topic_rows(visible_files(actor).where(file.c.id == file_id))
+
+
+def change_file(file_id: uuid.UUID, **values: object) -> Update:
+    """Return the statement that changes one file."""
+    return update(file).where(file.c.id == file_id).values(**values)
+
+
+def in_the_way(mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None) -> Select[Any]:
+    """Return the `path` of a file that keeps another path from being stored in a mission.
+
+    That is a file of the same key, one that stands where a folder is needed, or one inside a folder of that name.
+    """
+    key = name_key(path)
+    parts = key.split("/")
+    folders = ["/".join(parts[:count]) for count in range(1, len(parts))]
+    # "0" follows "/" by code point: the keys between are those that begin with the folder's.
+    inside = and_(file.c.path_key > f"{key}/", file.c.path_key < f"{key}0")
+    taken = or_(file.c.path_key == key, file.c.path_key.in_(folders), inside)
+    live = select(file.c.path).where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None), taken).limit(1)
+    return live if except_id is None else live.where(file.c.id != except_id)

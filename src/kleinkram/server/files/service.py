@@ -1,0 +1,208 @@
+"""What may be done with files. Renaming and moving change rows; no object in the store is ever touched."""
+
+import datetime
+import uuid
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Row, func
+
+from kleinkram.contract.errors import FileUnavailable, NameTaken, NotFound, PathConflict
+from kleinkram.contract.files import (
+    BlobState,
+    DownloadLink,
+    FileFilter,
+    FileRead,
+    FileSort,
+    FileUpdate,
+    TopicRead,
+)
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.names import name_key
+from kleinkram.contract.paging import Page
+from kleinkram.contract.trash import Deleted
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.blobs.service import prove_again
+from kleinkram.server.db import Connection
+from kleinkram.server.files import queries
+from kleinkram.server.missions import service as missions
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.recordings.service import regroup
+from kleinkram.server.site import Site
+
+_UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+
+
+async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileRead]:
+    """Return files in the order asked, by one query.
+
+    Raises:
+        NotFound: one of them is not there, or not for this actor.
+    """
+    return [queries.to_file(row) for row in await _rows(db, actor, file_ids)]
+
+
+async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead:
+    """Return one file.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    return (await read_files(db, actor, [file_id]))[0]
+
+
+async def list_files(
+    db: Connection, actor: Actor, *, matching: FileFilter, sort: FileSort, page: PageRequest
+) -> Page[FileRead]:
+    """Return a page of the files that match.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+        InvalidCursor: the cursor is not of this list.
+    """
+    rows = await fetch_page(db, queries.matching_files(actor, matching), queries.file_order(sort), page)
+    return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page: PageRequest) -> Page[TopicRead]:
+    """Return a page of one file's topics, by name.
+
+    Raises:
+        NotFound: the file is not there, or not for this actor.
+    """
+    await _row(db, actor, file_id)
+    rows = await fetch_page(db, queries.topics_of_file(actor, file_id), queries.TOPIC_ORDER, page)
+    return Page(items=[queries.to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, changes: FileUpdate) -> FileRead:
+    """Rename, move or label a file and return it; recordings on both sides are derived anew.
+
+    Raises:
+        NotFound: the file, or the mission to move it to, is not there.
+        NameTaken: there is a file of that path.
+        PathConflict: the path is a folder there, or needs a folder where a file is.
+    """
+    old = await _row(db, actor, file_id)
+    mission_id = changes.mission_id or old.mission_id
+    path = changes.path or old.path
+    values: dict[str, Any] = {}
+    if changes.labels is not None and (labels := list(dict.fromkeys(changes.labels))) != old.labels:
+        values["labels"] = labels
+    if (mission_id, path) != (old.mission_id, old.path):
+        await _check_move(db, actor, old, mission_id=mission_id, path=path)
+        values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
+    if not values:
+        return queries.to_file(old)
+    await db.execute(queries.change_file(file_id, **values))
+    new = await _row(db, actor, file_id)
+    before, after = _changed(old, new)
+    await record(db, actor, Event("file.update", "file", file_id, new.path, new.project_id, before, after))
+    return queries.to_file(new)
+
+
+async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_run: bool) -> Deleted:
+    """Move a file to the trash; its path is free at once. As a dry run, only say what would go.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await _row(db, actor, file_id)
+    if not dry_run:
+        await regroup(db, row.mission_id)
+        await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
+        before: Metadata = {"path": row.path, "mission": row.mission_name}
+        await record(db, actor, Event("file.delete", "file", file_id, row.path, row.project_id, before))
+    return Deleted(missions=0, files=1, size_bytes=row.size_bytes, dry_run=dry_run)
+
+
+async def check_path_free(
+    db: Connection, mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None = None
+) -> None:
+    """See that a file may stand at `path`; the caller holds the mission's lock, so that it stays true.
+
+    Raises:
+        NameTaken: there is a file of that path, letter case and Unicode form apart.
+        PathConflict: the path is a folder there, or needs a folder where a file is.
+    """
+    other = (await db.execute(queries.in_the_way(mission_id, path, except_id=except_id))).scalar_one_or_none()
+    if other is None:
+        return
+    if name_key(other) == name_key(path):
+        raise NameTaken(noun="file", name=path)
+    raise PathConflict(path=path, other=other)
+
+
+async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID]) -> list[DownloadLink]:
+    """Return where to read files, in the order asked, and note who fetched them.
+
+    Raises:
+        NotFound: one of them is not there, or not for this actor.
+        FileUnavailable: the store's copy of one is lost or corrupt.
+    """
+    async with site.database.begin() as db:
+        rows = await _rows(db, actor, file_ids)
+        for row in rows:
+            if row.state in _UNREADABLE:
+                raise FileUnavailable(path=row.path, state=row.state)
+        events = [Event("file.download", "file", row.id, row.path, row.project_id) for row in rows]
+        await record_all(db, actor, events)
+    return [await _link(site, row) for row in rows]
+
+
+async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
+    """Have a file's bytes read again soon, and return the file as it is known now.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await _row(db, actor, file_id)
+    await prove_again(db, row.blob_id)
+    return queries.to_file(row)
+
+
+async def _rows(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[Row[Any]]:
+    found = {row.id: row for row in await db.execute(queries.files_by_id(actor, file_ids))}
+    for file_id in file_ids:
+        if file_id not in found:
+            raise NotFound(noun="file", ref=str(file_id))
+    return [found[file_id] for file_id in file_ids]
+
+
+async def _row(db: Connection, actor: Actor, file_id: uuid.UUID) -> Row[Any]:
+    return (await _rows(db, actor, [file_id]))[0]
+
+
+async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id: uuid.UUID, path: str) -> None:
+    # Both missions are locked (by id, so that two moves never wait for each other) before anything is looked at.
+    for each in sorted({old.mission_id, mission_id}):
+        await regroup(db, each)
+    await missions.get_mission_row(db, actor, mission_id)
+    await check_path_free(db, mission_id, path, except_id=old.id)
+
+
+def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
+    names = {"path": "path", "labels": "labels", "mission_name": "mission", "project_name": "project"}
+    differing = [(column, word) for column, word in names.items() if old._mapping[column] != new._mapping[column]]
+    return (
+        {word: old._mapping[column] for column, word in differing},
+        {word: new._mapping[column] for column, word in differing},
+    )
+
+
+async def _link(site: Site, row: Row[Any]) -> DownloadLink:
+    expires_s = site.settings.download_url_s
+    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
+    url = await site.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    seen = queries.to_file(row)
+    return DownloadLink(
+        file_id=seen.id,
+        path=seen.path,
+        size_bytes=seen.size_bytes,
+        sha256=seen.sha256,
+        crc64nvme=seen.crc64nvme,
+        state=seen.state,
+        url=url,
+        expires_at=expires_at,
+    )

@@ -1,0 +1,144 @@
+"""What is asked of missions. Functions return selects; they touch no connection."""
+
+import uuid
+from typing import Any
+
+from sqlalchemy import (
+    ARRAY,
+    BigInteger,
+    ColumnElement,
+    Row,
+    Select,
+    Update,
+    bindparam,
+    func,
+    literal,
+    select,
+    type_coerce,
+    update,
+)
+from sqlalchemy.dialects.postgresql import array
+
+from kleinkram.contract.errors import FieldProblem
+from kleinkram.contract.files import ContentState
+from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.pages import Order
+from kleinkram.server.search.matching import narrow_missions
+from kleinkram.server.tables import blob, file, mission, person, project
+
+_LAST, _FIRST = 2**63 - 1, -(2**63)
+
+
+def _amounts() -> ColumnElement[Any]:
+    # One look at the mission's files for all four numbers, and only for the rows that a page shows.
+    pending = func.count().filter(blob.c.content == ContentState.pending.value)
+    numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), pending)
+    return (
+        select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
+        .join_from(file, blob, blob.c.id == file.c.blob_id)
+        .where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None))
+        .correlate(mission)
+        .scalar_subquery()
+        .label("amounts")
+    )
+
+
+def mission_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the rows that `to_mission` reads, of a select that began with `visible_missions`."""
+    extra = (
+        project.c.name.label("project_name"),
+        person.c.name.label("created_by_name"),
+        _amounts(),
+    )
+    return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
+
+
+def to_mission(row: Row[Any]) -> MissionRead:
+    """Return the mission that a row of `mission_rows` stands for."""
+    file_count, size_bytes, message_count, pending = (int(number) for number in row.amounts)
+    return MissionRead(
+        id=row.id,
+        name=row.name,
+        project=ProjectRef(id=row.project_id, name=row.project_name),
+        metadata=row.metadata,
+        metadata_yaml=row.metadata_yaml,
+        metadata_problems=[FieldProblem(**problem) for problem in row.metadata_problems],
+        notes=row.notes,
+        completed_at=row.completed_at,
+        created_at=row.created_at,
+        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+        start_ns=row.start_ns,
+        end_ns=row.end_ns,
+        file_count=file_count,
+        size_bytes=size_bytes,
+        message_count=message_count,
+        pending_file_count=pending,
+    )
+
+
+def to_mission_ref(row: Row[Any]) -> MissionRef:
+    """Return a mission as named beside what it holds."""
+    return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
+
+
+def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return one visible mission, with its project's name and fields."""
+    fields = (project.c.name.label("project_name"), project.c.metadata_fields)
+    return visible_missions(actor).add_columns(*fields).where(mission.c.id == mission_id)
+
+
+def matching_missions(actor: Actor, matching: MissionFilter) -> Select[Any]:
+    """Return the visible missions that match."""
+    return mission_rows(narrow_missions(visible_missions(actor), matching))
+
+
+def mission_order(sort: MissionSort) -> Order:
+    """Return a list's order. Missions without a time come last, whichever way the list runs."""
+    descending = sort.value.startswith("-")
+    unknown = literal(_FIRST if descending else _LAST, BigInteger)
+    columns: dict[str, list[ColumnElement[Any]]] = {
+        "name": [mission.c.name, project.c.name],
+        "created": [mission.c.created_at],
+        "start": [func.coalesce(mission.c.start_ns, unknown)],
+    }
+    return Order([*columns[sort.value.removeprefix("-")], mission.c.id], descending)
+
+
+def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return the mission of a project that was made last, as `to_mission_ref` reads it."""
+    newest = visible_missions(actor).add_columns(project.c.name.label("project_name"))
+    return (
+        newest.where(mission.c.project_id == project_id)
+        .order_by(mission.c.created_at.desc(), mission.c.id.desc())
+        .limit(1)
+    )
+
+
+def contents(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return the number and bytes of a visible mission's files."""
+    amounts = select(func.count(file.c.id), func.coalesce(func.sum(blob.c.size_bytes), 0))
+    inside = visible_missions(actor).with_only_columns(mission.c.id).where(mission.c.id == mission_id)
+    return amounts.join_from(file, blob, blob.c.id == file.c.blob_id).where(
+        file.c.mission_id.in_(inside), file.c.deleted_at.is_(None)
+    )
+
+
+def change_mission(mission_id: uuid.UUID, **values: object) -> Update:
+    """Return the statement that changes one mission."""
+    return update(mission).where(mission.c.id == mission_id).values(**values)
+
+
+def metadata_of_project(project_id: uuid.UUID, *, after: uuid.UUID | None, limit: int) -> Select[Any]:
+    """Return the next missions of a project, by id, with what they carry; those in the trash too."""
+    stmt = select(mission.c.id, mission.c.metadata, mission.c.metadata_problems)
+    stmt = stmt.where(mission.c.project_id == project_id).order_by(mission.c.id).limit(limit)
+    return stmt if after is None else stmt.where(mission.c.id > after)
+
+
+def set_problems() -> Update:
+    """Return the statement that notes `problems` for the mission `ref`, to be run for many at once."""
+    return update(mission).where(mission.c.id == bindparam("ref")).values(metadata_problems=bindparam("problems"))

@@ -1,0 +1,1 @@
+"""Projects, and the metadata fields that they declare."""

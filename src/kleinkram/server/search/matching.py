@@ -1,0 +1,146 @@
+"""What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sqlalchemy import ColumnElement, Select, Text, and_, exists, func, or_, select
+
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.missions import MissionFilter
+from kleinkram.contract.names import name_key
+from kleinkram.server.dates import nanoseconds
+from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
+from kleinkram.server.search.where import condition
+from kleinkram.server.tables import blob, file, mission, project, topic
+
+Conditions = list[ColumnElement[bool]]
+
+
+def narrow_projects(stmt: Select[Any], *, name: str | None, text: str | None) -> Select[Any]:
+    """Return the projects of a select that match; `text` is found in names and descriptions, word by word."""
+    conditions = [matches_key(project.c.name_key, name)] if name is not None else []
+    return stmt.where(*conditions, *_words(text, _project_holds))
+
+
+def narrow_missions(stmt: Select[Any], matching: MissionFilter) -> Select[Any]:
+    """Return the missions of a select that match.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    conditions = _place(matching) + _span(matching, mission.c.start_ns, mission.c.end_ns)
+    if matching.name is not None:
+        conditions.append(matches_key(mission.c.name_key, matching.name))
+    conditions += [condition(expression) for expression in matching.where]
+    conditions += _words(matching.text, _mission_holds)
+    if matching.topic or matching.message_type:
+        conditions.append(_mission_has_topic(_topic_conditions(matching)))
+    if matching.completed is not None:
+        conditions.append(mission.c.completed_at.is_not(None) == matching.completed)
+    if matching.satisfied is not None:
+        conditions.append((func.jsonb_array_length(mission.c.metadata_problems) == 0) == matching.satisfied)
+    return stmt.where(*conditions)
+
+
+def narrow_files(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+    """Return the files of a select that match.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _bytes(matching)
+    if matching.mission is not None:
+        conditions.append(matches_key(mission.c.name_key, matching.mission))
+    if matching.mission_id is not None:
+        conditions.append(mission.c.id == matching.mission_id)
+    if matching.recording_id is not None:
+        conditions.append(file.c.recording_id == matching.recording_id)
+    if matching.path:
+        conditions.append(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path]))
+    if matching.label:
+        conditions.append(file.c.labels.overlap(matching.label))
+    conditions += [condition(expression) for expression in matching.where]
+    conditions += _words(matching.text, _file_holds)
+    if matching.topic or matching.message_type:
+        conditions.append(exists().where(topic.c.blob_id == blob.c.id, *_topic_conditions(matching)))
+    return stmt.where(*conditions)
+
+
+def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+    """Return the topics of a select joined with them that match the filter's topics and message types."""
+    return stmt.where(*_topic_conditions(matching))
+
+
+def _place(matching: MissionFilter | FileFilter) -> Conditions:
+    conditions: Conditions = []
+    if matching.project is not None:
+        conditions.append(matches_key(project.c.name_key, matching.project))
+    if matching.project_id is not None:
+        conditions.append(project.c.id == matching.project_id)
+    return conditions
+
+
+def _span(
+    matching: MissionFilter | FileFilter, start: ColumnElement[int | None], end: ColumnElement[int | None]
+) -> Conditions:
+    conditions: Conditions = []
+    if matching.recorded_after is not None:
+        conditions.append(end >= nanoseconds(matching.recorded_after))
+    if matching.recorded_before is not None:
+        conditions.append(start <= nanoseconds(matching.recorded_before))
+    return conditions
+
+
+def _bytes(matching: FileFilter) -> Conditions:
+    conditions: Conditions = []
+    if matching.format:
+        conditions.append(blob.c.format.in_(matching.format))
+    if matching.state:
+        conditions.append(blob.c.state.in_([state.value for state in matching.state]))
+    if matching.content:
+        conditions.append(blob.c.content.in_([content.value for content in matching.content]))
+    if matching.min_size_bytes is not None:
+        conditions.append(blob.c.size_bytes >= matching.min_size_bytes)
+    if matching.max_size_bytes is not None:
+        conditions.append(blob.c.size_bytes <= matching.max_size_bytes)
+    return conditions
+
+
+def _topic_conditions(matching: MissionFilter | FileFilter) -> Conditions:
+    conditions: Conditions = []
+    if matching.topic:
+        conditions.append(matches_any(topic.c.name, matching.topic))
+    if matching.message_type:
+        conditions.append(matches_any(topic.c.message_type, matching.message_type))
+    return conditions
+
+
+def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnElement[bool]:
+    its_topics = select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id)
+    return its_topics.where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), and_(*conditions)).exists()
+
+
+def _words(text: str | None, holds: Callable[[str], ColumnElement[bool]]) -> Conditions:
+    return [holds(word) for word in (text or "").split()]
+
+
+def _project_holds(word: str) -> ColumnElement[bool]:
+    return or_(key_holds_word(project.c.name_key, word), holds_word(project.c.description, word))
+
+
+def _mission_holds(word: str) -> ColumnElement[bool]:
+    values = func.jsonb_path_query(mission.c.metadata, "strict $.**").table_valued("value").render_derived()
+    in_values = select(values.c.value).where(holds_word(values.c.value.op("#>>", return_type=Text())("{}"), word))
+    scalar = func.jsonb_typeof(values.c.value).not_in(["object", "array"])
+    return or_(
+        key_holds_word(mission.c.name_key, word),
+        key_holds_word(project.c.name_key, word),
+        holds_word(mission.c.notes, word),
+        in_values.where(scalar).exists(),
+    )
+
+
+def _file_holds(word: str) -> ColumnElement[bool]:
+    topics = exists().where(topic.c.blob_id == blob.c.id, holds_word(topic.c.name, word))
+    labels = holds_word(func.array_to_string(file.c.labels, "\n"), word)
+    return or_(key_holds_word(file.c.path_key, word), labels, topics, _mission_holds(word))
