@@ -1,0 +1,29 @@
+"""Sample missions: realistic recordings of a small vehicle, of any size, with a truth to compare with.
+
+For demonstrations, tests and benchmarks. Never imported by the server.
+"""
+
+from kleinkram.recordings.sample.mission import (
+    SampleFormat,
+    generate_bag,
+    generate_db3,
+    generate_mcap,
+    generate_mission,
+)
+from kleinkram.recordings.sample.truth import FileTruth, MissionTruth, TopicTruth
+from kleinkram.recordings.sample.vehicle import BlackCamera, ClockJump, Faults, TopicGap
+
+__all__ = [
+    "BlackCamera",
+    "ClockJump",
+    "Faults",
+    "FileTruth",
+    "MissionTruth",
+    "SampleFormat",
+    "TopicGap",
+    "TopicTruth",
+    "generate_bag",
+    "generate_db3",
+    "generate_mcap",
+    "generate_mission",
+]
