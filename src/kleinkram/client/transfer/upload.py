@@ -1,4 +1,4 @@
-"""Uploading: a plan goes in, a report comes out. Run it again, after whatever happened: only what is missing is sent."""
+"""Uploading: a plan goes in, a report comes out. Run it again, after whatever happened, and only the rest is sent."""
 
 import threading
 import uuid

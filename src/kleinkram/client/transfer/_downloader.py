@@ -1,0 +1,249 @@
+"""The threads of a download: the caller's asks for links and hands out ranges, some fetch, verify and finish.
+
+Memory: one slice a thread. Links are asked for in batches ahead of need, and again when the store no longer takes one.
+"""
+
+import contextlib
+import threading
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import urllib3
+
+from kleinkram.client._http import store_unreachable
+from kleinkram.client._retry import Backoff
+from kleinkram.client.errors import DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed
+from kleinkram.client.files import Files
+from kleinkram.client.transfer._fetching import Fetching
+from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
+from kleinkram.client.transfer._place import make_folders, regular_size
+from kleinkram.client.transfer._source import SLICE_BYTES
+from kleinkram.client.transfer._store import PATIENCE_S, Answer, GetAnswer, StoreDoor
+from kleinkram.client.transfer.destination import Target
+from kleinkram.client.transfer.outcome import Outcome, TransferResult
+from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.progress import Watcher
+from kleinkram.client.transfer.verify import is_same
+from kleinkram.contract.errors import FileUnavailable, KleinkramError, NotFound
+from kleinkram.contract.files import DownloadLink
+
+_LINKS_AT_ONCE = 50
+_FILES_UNDER_WAY = 64
+_RANGES_AHEAD = 16
+_REFUSALS = 4
+
+_OF_ONE_FILE = (DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed, FileUnavailable, NotFound)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    fetching: Fetching
+    number: int
+    first: int
+    last: int
+
+
+class Downloader:
+    """One run of a download. `ended` is called once a file, from any thread."""
+
+    def __init__(
+        self,
+        files: Files,
+        *,
+        pace: Pace,
+        watcher: Watcher,
+        overwrite: bool,
+        ended: Callable[[TransferResult], None],
+    ) -> None:
+        self._files = files
+        self._stop = Stop()
+        self._pace = pace
+        self._watcher = watcher
+        self._overwrite = overwrite
+        self._ended = ended
+        self._under_way = Budget(self._stop, _FILES_UNDER_WAY)
+        self._ahead = Budget(self._stop, _RANGES_AHEAD)
+        self._pieces: Channel[_Piece] = Channel(self._stop)
+        self._targets: dict[uuid.UUID, Target] = {}
+        self._open: dict[uuid.UUID, Fetching] = {}
+
+    def run(self, targets: Sequence[Target], connections: int) -> None:
+        """Download the files; returns when each has ended.
+
+        Raises:
+            KleinkramError: something that concerns all files; what has arrived stays for the next run.
+        """
+        self._targets = {target.file.id: target for target in targets}
+        self._store = StoreDoor(connections)
+        threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections)]
+        for thread in threads:
+            thread.start()
+        try:
+            with contextlib.suppress(Stopped):
+                self._hand_out(targets)
+                self._under_way.wait_until_free()
+        finally:
+            self._stop.now()
+            for thread in threads:
+                thread.join(timeout=2.0)
+            for fetching in self._open.values():
+                fetching.close()
+            self._store.close()
+        if self._stop.failure is not None:
+            raise self._stop.failure
+
+    def _guard(self) -> None:
+        try:
+            while True:
+                for piece in self._pieces.take(1):
+                    self._fetch_piece(piece)
+        except Stopped:
+            return
+        except BaseException as error:  # carried to the caller's thread, which raises it
+            self._stop.now(error)
+
+    # -- handing out: the caller's thread -----------------------------------------------------------------------------
+
+    def _hand_out(self, targets: Sequence[Target]) -> None:
+        batch: list[Target] = []
+        for target in targets:
+            if self._is_needed(target):
+                batch.append(target)
+            if len(batch) == _LINKS_AT_ONCE:
+                self._hand_out_batch(batch)
+                batch = []
+        self._hand_out_batch(batch)
+
+    def _is_needed(self, target: Target) -> bool:
+        """Look at what is at the target already; say whether the file must be fetched."""
+        try:
+            make_folders(target.dest, target.relative)
+            if regular_size(target.local) is None:
+                return True
+            if is_same(target.file, target.local, self._stop.check):
+                self._watcher.held(target.file.path, target.file.size_bytes, target.file.size_bytes)
+                self._end(target, Outcome.present)
+                return False
+        except DestinationRefused as error:
+            self._end(target, Outcome.refused, error=error)
+            return False
+        if not self._overwrite:
+            self._end(target, Outcome.refused, error=DestinationDiffers(path=str(target.local)))
+        return self._overwrite
+
+    def _hand_out_batch(self, batch: Sequence[Target]) -> None:
+        if not batch:
+            return
+        try:
+            links = self._files.links([target.file.id for target in batch]).items
+        except (FileUnavailable, NotFound) as error:
+            if len(batch) == 1:
+                self._end(batch[0], Outcome.refused, error=error)
+                return
+            for target in batch:
+                self._hand_out_batch([target])
+            return
+        for target, link in zip(batch, links, strict=True):
+            self._hand_out_file(target, link)
+
+    def _hand_out_file(self, target: Target, link: DownloadLink) -> None:
+        self._under_way.acquire(1)
+        try:
+            fetching = Fetching(link, target.local, overwrite=self._overwrite)
+        except DestinationRefused as error:
+            self._under_way.release(1)
+            self._end(target, Outcome.refused, error=error)
+            return
+        self._open[link.file_id] = fetching
+        self._watcher.held(target.file.path, fetching.held_bytes(), link.size_bytes)
+        for number, first, last in [*fetching.missing()]:
+            if fetching.ended:
+                break
+            self._ahead.acquire(1)
+            fetching.add_range()
+            self._pieces.put(_Piece(fetching, number, first, last))
+        self._count_done(fetching)
+
+    # -- fetching: the other threads ----------------------------------------------------------------------------------
+
+    def _fetch_piece(self, piece: _Piece) -> None:
+        fetching = piece.fetching
+        try:
+            if not fetching.ended:
+                self._fetch(piece)
+                fetching.arrived(piece.number, piece.last - piece.first + 1)
+                fetching.hash_ready(self._stop.check)
+        except _OF_ONE_FILE as error:
+            self._fail(fetching, error)
+        self._ahead.release(1)
+        self._count_done(fetching)
+
+    def _fetch(self, piece: _Piece) -> None:
+        fetching, offset, refusals = piece.fetching, piece.first, 0
+        backoff = Backoff(PATIENCE_S, self._stop.wait)
+        while offset <= piece.last:
+            answer = self._store.get(fetching.link.url, offset, piece.last, SLICE_BYTES)
+            reached = self._receive(piece, offset, answer)
+            if reached > offset:
+                offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
+            elif answer.answer in {Answer.taken, Answer.try_again}:
+                if not backoff.pause():
+                    raise self._gave_up(fetching, answer)
+            elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
+                refusals += 1
+                fetching.link = self._files.links([fetching.link.file_id]).items[0]
+            else:
+                raise TransferFailed(path=fetching.link.path, reason=answer.reason)
+
+    def _receive(self, piece: _Piece, offset: int, answer: GetAnswer) -> int:
+        """Write what the store gives, and return the offset reached; less than asked when the connection ended."""
+        path, total = piece.fetching.link.path, piece.fetching.size_bytes
+        try:
+            for data in answer.slices():
+                self._stop.check()
+                data = data[: piece.last + 1 - offset]
+                self._pace.spend(len(data), self._stop.wait)
+                piece.fetching.write(offset, data)
+                offset += len(data)
+                self._watcher.moved(path, len(data), total)
+        except urllib3.exceptions.HTTPError as error:
+            answer.error = error
+        finally:
+            answer.close()
+        return offset
+
+    def _gave_up(self, fetching: Fetching, answer: GetAnswer) -> KleinkramError:
+        if answer.error is not None:
+            return store_unreachable(fetching.link.url, answer.error)
+        return TransferFailed(path=fetching.link.path, reason=answer.reason or "the store sends nothing")
+
+    # -- ends ---------------------------------------------------------------------------------------------------------
+
+    def _count_done(self, fetching: Fetching) -> None:
+        """Count a range as over; the thread that brings the last one finishes the file."""
+        if not fetching.part_done():
+            return
+        try:
+            if not fetching.ended:
+                fetching.finish(self._stop.check)
+                fetching.end()
+                self._end(self._targets[fetching.link.file_id], Outcome.downloaded, moved_bytes=fetching.fetched_bytes)
+        except _OF_ONE_FILE as error:
+            self._fail(fetching, error)
+        self._open.pop(fetching.link.file_id, None)
+        fetching.close()
+        self._under_way.release(1)
+
+    def _fail(self, fetching: Fetching, error: KleinkramError) -> None:
+        self._stop.check()
+        if fetching.end():
+            self._end(self._targets[fetching.link.file_id], Outcome.refused, error=error)
+
+    def _end(
+        self, target: Target, outcome: Outcome, *, moved_bytes: int = 0, error: KleinkramError | None = None
+    ) -> None:
+        file = target.file
+        self._ended(
+            TransferResult(file.path, target.local, file.size_bytes, outcome, moved_bytes, file.id, file.sha256, error)
+        )
