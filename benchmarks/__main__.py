@@ -1,0 +1,266 @@
+"""`make bench`: prints the table of first measures and writes it as JSON beside it (`.bench/results.json`)."""
+
+import json
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+
+from benchmarks.index_bytes import index_bytes
+from benchmarks.measure import Pairing, pair, run_side
+from kleinkram.recordings.sample import generate_bag, generate_mcap
+
+ROOT = Path(__file__).resolve().parent.parent
+STAGE = ROOT / ".bench"
+DATA = STAGE / "data"
+KLEIN = Path(sys.executable).parent / "klein"
+GB = 1_000_000_000
+STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
+
+
+def main() -> None:
+    """Measure everything, print the table."""
+    shutil.rmtree(STAGE, ignore_errors=True)
+    STAGE.mkdir()
+    rows: list[dict[str, object]] = []
+    with instance() as environment:
+        klein("project", "create", "bench")
+        rows += [upload_row(environment), download_row(environment), small_files_row(environment)]
+        rows += summary_rows(environment)
+        rows.append(memory_row())
+    rows += start_rows()
+    (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
+    print_table(rows)
+
+
+def variables() -> dict[str, str]:
+    """Return the environment of everything that runs here."""
+    homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
+    # Proving goes at full speed between two runs, rather than slowly beside them.
+    return {**os.environ, **homes, "KLEINKRAM_DATA_DIR": str(DATA), "KLEINKRAM_PROVING_BYTES_PER_S": "2000000000"}
+
+
+def klein(*arguments: str) -> str:
+    """Run one command."""
+    command = [str(KLEIN), *arguments]
+    return subprocess.run(command, env=variables(), check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+@contextmanager
+def instance() -> Iterator[dict[str, str]]:
+    """Run an instance; yields the environment by which a side reaches API and store."""
+    process = subprocess.Popen([str(KLEIN), "up"], env=variables(), stdout=subprocess.PIPE, text=True)
+    try:
+        if not (process.stdout and process.stdout.readline()):
+            raise SystemExit("Kleinkram did not start")
+        worker = psutil.Process(told()["parts"]["worker"])
+        inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
+        yield {**variables(), **inherited}
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=60)
+
+
+def told() -> dict[str, object]:
+    """Return what the instance says of itself."""
+    facts: dict[str, object] = json.loads((DATA / "instance.json").read_text())
+    return facts
+
+
+def settle() -> None:
+    """Wait until no job waits or runs, so that nothing runs beside a measurement."""
+    while True:
+        with urllib.request.urlopen(f"{told()['url']}/metrics", timeout=10) as answer:
+            lines = answer.read().decode().splitlines()
+        busy = [
+            line for line in lines if line.startswith("kleinkram_jobs{") and ('"todo"' in line or '"doing"' in line)
+        ]
+        if (
+            sum(float(line.rsplit(" ", 1)[1]) for line in busy if "finish_uploads" not in line and "sweep" not in line)
+            == 0
+        ):
+            return
+        time.sleep(0.2)
+
+
+def random_file(path: Path, size_bytes: int) -> Path:
+    """Write a file of bytes that are nobody's."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as stream:
+        for start in range(0, size_bytes, 1 << 24):
+            stream.write(os.urandom(min(1 << 24, size_bytes - start)))
+    return path
+
+
+def upload_row(environment: dict[str, str]) -> dict[str, object]:
+    """1 GB up. Sizes differ by some bytes from run to run, so that no run finds a twin of the last one."""
+    source = random_file(STAGE / "large" / "large.bin", GB)
+    number = 0
+
+    def ours() -> object:
+        nonlocal number
+        number += 1
+        os.truncate(source, GB + number)
+        klein("mission", "create", f"up-{number}", "-p", "bench")
+        run = run_side("upload_ours", "bench", f"up-{number}", str(source), environment=environment)
+        settle()
+        return run
+
+    def raw() -> object:
+        return run_side("upload_raw", str(source), environment=environment)
+
+    pairing = pair(ours, raw)  # type: ignore[arg-type]  # both return Run
+    cpu, peak = pairing.median(lambda run: run.cpu_s), pairing.median(lambda run: run.peak_mb)
+    return ratio_row("1 GB up, hashed and proven by the store", pairing, 0.9) | {
+        "client_cpu_s_per_gb": cpu,
+        "client_peak_mb": peak,
+        "also": f"client {cpu:.2f} CPU s/GB (bar 1.6), {peak:.0f} MB (bar 200)",
+        "met": pairing.ratio >= 0.9 and cpu <= 1.6 and peak <= 200,
+    }
+
+
+def download_row(environment: dict[str, str]) -> dict[str, object]:
+    """1 GB down."""
+    destination = STAGE / "down"
+
+    def side(name: str) -> object:
+        shutil.rmtree(destination, ignore_errors=True)
+        destination.mkdir()
+        return run_side(name, "bench", "up-1", str(destination), environment=environment)
+
+    pairing = pair(lambda: side("download_ours"), lambda: side("download_raw"))  # type: ignore[arg-type,return-value]
+    cpu = pairing.median(lambda run: run.cpu_s)
+    return ratio_row("1 GB down, verified", pairing, 0.7) | {"also": f"client {cpu:.2f} CPU s/GB"}
+
+
+def small_files_row(environment: dict[str, str]) -> dict[str, object]:
+    """500 files of 1 MB up."""
+    number = 0
+
+    def fresh() -> Path:
+        nonlocal number
+        number += 1
+        folder = STAGE / f"small-{number}"
+        for index in range(500):
+            random_file(folder / f"{index:03}.bin", 1_000_000)
+        klein("mission", "create", f"small-{number}", "-p", "bench")
+        return folder
+
+    def ours() -> object:
+        folder = fresh()
+        run = run_side("upload_ours", "bench", folder.name, str(folder), environment=environment)
+        settle()
+        return run
+
+    def raw() -> object:
+        folder = fresh()
+        return run_side("upload_raw", *sorted(map(str, folder.iterdir())), environment=environment)
+
+    pairing = pair(ours, raw)  # type: ignore[arg-type]  # both return Run
+    return ratio_row("500 files of 1 MB up", pairing, 0.6)
+
+
+def ratio_row(what: str, pairing: Pairing, bar: float) -> dict[str, object]:
+    """Return one row of the table about a ratio."""
+    ours = statistics.median(run.seconds for run in pairing.ours)
+    raw = statistics.median(run.seconds for run in pairing.raw)
+    return {
+        "what": what,
+        "measured": f"{pairing.ratio:.2f} of raw (ours {ours:.2f} s, raw {raw:.2f} s)",
+        "bar": f">= {bar} of raw",
+        "met": pairing.ratio >= bar,
+        "ratio": pairing.ratio,
+        "ours_s": [run.seconds for run in pairing.ours],
+        "raw_s": [run.seconds for run in pairing.raw],
+    }
+
+
+def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
+    """The summaries of a 1 GB MCAP and a 1 GB bag over HTTP."""
+    folder = STAGE / "recordings"
+    folder.mkdir()
+    generate_mcap(folder / "large.mcap", size_bytes=GB, seed=1)
+    generate_bag(folder / "large.bag", size_bytes=GB, seed=2)
+    klein("mission", "create", "summaries", "-p", "bench")
+    klein("upload", "-p", "bench", "-m", "summaries", *map(str, sorted(folder.iterdir())))
+    settle()
+    rows = []
+    for path in sorted(folder.iterdir()):
+        runs = [run_side("summary_remote", "bench", "summaries", path.name, environment=environment) for _ in range(6)]
+        seconds, read = statistics.median(run.seconds for run in runs), runs[0].facts["bytes_read"]
+        allowed = index_bytes(path) + 1_000_000
+        rows.append(
+            {
+                "what": f"summary of a 1 GB {path.suffix[1:]} over HTTP",
+                "measured": f"{seconds:.2f} s, {read / 1e6:.2f} MB read",
+                "bar": f"<= 1.5 s, <= {allowed / 1e6:.2f} MB (index + 1 MB)",
+                "met": seconds <= 1.5 and read <= allowed,
+                "seconds": [run.seconds for run in runs],
+                "bytes_read": read,
+            }
+        )
+    return rows
+
+
+def memory_row() -> dict[str, object]:
+    """Memory of everything, after all the traffic above."""
+    supervisor = psutil.Process(int(str(told()["pid"])))
+    by_part: dict[str, float] = {}
+    for process in [supervisor, *supervisor.children(recursive=True)]:
+        name = process.name()
+        by_part[name] = by_part.get(name, 0) + process.memory_full_info().pss / 1e6
+    total = sum(by_part.values())
+    return {
+        "what": "memory of everything (PSS) after this traffic",
+        "measured": f"{total:.0f} MB",
+        "bar": "<= 600 MB",
+        "met": total <= 600,
+        "parts_mb": by_part,
+        "also": ", ".join(f"{name} {size:.0f}" for name, size in sorted(by_part.items(), key=lambda item: -item[1])),
+    }
+
+
+def start_rows() -> list[dict[str, object]]:
+    """Warm starts: from the command to the first answer, and to the first real PUT."""
+    small = random_file(STAGE / "put.bin", 1000)
+    answers, puts = [], []
+    for number in range(STARTS):
+        started = time.perf_counter()
+        with instance():
+            urllib.request.urlopen(f"{told()['url']}/health/ready", timeout=10).close()
+            answers.append(time.perf_counter() - started)
+            os.truncate(small, 1000 + number)
+            klein("upload", "-p", "bench", "-m", "up-1", str(small), "--json")
+            puts.append(time.perf_counter() - started)
+            klein("file", "delete", "put.bin", "-p", "bench", "-m", "up-1", "--yes")
+    return [
+        {
+            "what": f"warm `klein up` to {what}, {STARTS} starts",
+            "measured": f"median {statistics.median(seconds):.2f} s, slowest {max(seconds):.2f} s",
+            "bar": "<= 5 s each time",
+            "met": max(seconds) <= 5,
+            "seconds": seconds,
+        }
+        for what, seconds in (("the first answer", answers), ("the first real PUT (by a new client)", puts))
+    ]
+
+
+def print_table(rows: list[dict[str, object]]) -> None:
+    """Print the table as Markdown."""
+    print("| what | measured | bar | met |\n|---|---|---|---|")
+    for row in rows:
+        also = f"; {row['also']}" if "also" in row else ""
+        print(f"| {row['what']} | {row['measured']}{also} | {row['bar']} | {'yes' if row['met'] else 'NO'} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""How many bytes of a recording are its index: what a summary cannot do without. Read off the file, not by our reader."""
+
+import struct
+from pathlib import Path
+
+from mcap.reader import SeekingReader
+
+
+def index_bytes(path: Path) -> int:
+    """Return the bytes of a whole recording that are neither chunks nor messages."""
+    return _mcap(path) if path.suffix == ".mcap" else _bag(path)
+
+
+def _mcap(path: Path) -> int:
+    with path.open("rb") as stream:
+        summary = SeekingReader(stream).get_summary()
+        if summary is None:
+            raise ValueError(f"{path} has no summary")
+        chunks = sum(each.chunk_length for each in summary.chunk_indexes)
+    return path.stat().st_size - chunks
+
+
+def _bag(path: Path) -> int:
+    """Add up all records of a ROS 1 bag but the chunks. Source: rosbag format 2.0, op 0x05 is a chunk."""
+    total, chunk = path.stat().st_size, 0
+    with path.open("rb") as stream:
+        stream.seek(13)
+        while head := stream.read(4):
+            header = stream.read(struct.unpack("<I", head)[0])
+            (length,) = struct.unpack("<I", stream.read(4))
+            chunk += length if b"op=\x05" in header else 0
+            stream.seek(length, 1)
+    return total - chunk

@@ -1,0 +1,184 @@
+"""One side of one measurement, run as a process of its own: prints JSON with `seconds` and whatever else it knows.
+
+"Raw" is the same HTTP library, part size, concurrency and part checksums against the same store, without hashing and
+without our API: the checksums and the signed addresses are made before the clock starts.
+"""
+
+import asyncio
+import json
+import os
+import resource
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import urllib3
+from awscrt.checksums import crc64nvme
+
+from kleinkram.client import Client, connect
+from kleinkram.client.transfer import download, plan_download, plan_upload, upload
+from kleinkram.client.transfer.upload import CONNECTIONS
+from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
+from kleinkram.recordings import CountingSource, summarise
+from kleinkram.recordings.http_source import HttpSource
+from kleinkram.server.settings import Settings
+from kleinkram.server.storage import PartTarget, Signed, Storage, open_storage
+
+_READ_BYTES = 8 * 1024 * 1024
+
+
+def upload_ours(project: str, mission: str, *paths: str) -> dict[str, float]:
+    """Upload through the SDK, hashed and proven by the store."""
+    with connect() as client:
+        mission_id = client.missions.get(mission, project=project).id
+        started = time.perf_counter()
+        report = upload(client, mission_id, plan_upload(paths))
+        seconds = time.perf_counter() - started
+    _refuse_failure(report.failed)
+    return {"seconds": seconds}
+
+
+def _refuse_failure(failed: Iterable[object]) -> None:
+    if problems := list(failed):
+        raise SystemExit(f"not all went well: {problems}")
+
+
+@dataclass(frozen=True)
+class _RawPart:
+    path: Path
+    offset: int
+    signed: Signed
+
+
+@dataclass(frozen=True)
+class _RawFile:
+    key: str
+    multipart_id: str | None
+    crc64nvme: bytes
+    parts: list[_RawPart]
+
+
+def upload_raw(*paths: str) -> dict[str, float]:
+    """Send the same parts with the same checksums to addresses that are signed already."""
+    files = [Path(path) for path in paths]
+    prepared = asyncio.run(_with_storage(lambda storage: _prepare(storage, files)))
+    pool = urllib3.PoolManager(maxsize=CONNECTIONS, blocksize=1024 * 1024)
+
+    def send(part: _RawPart) -> None:
+        with part.path.open("rb", buffering=0) as stream:
+            stream.seek(part.offset)
+            body = stream.read(int(part.signed.headers["Content-Length"]))
+        answer = pool.request("PUT", part.signed.url, body=body, headers=part.signed.headers)
+        if answer.status != 200:
+            raise SystemExit(f"the store answered {answer.status}")
+
+    started = time.perf_counter()
+    with ThreadPoolExecutor(CONNECTIONS) as senders:
+        list(senders.map(send, [part for each in prepared for part in each.parts]))
+    asyncio.run(_with_storage(lambda storage: _join(storage, prepared)))
+    return {"seconds": time.perf_counter() - started}
+
+
+async def _prepare(storage: Storage, files: list[Path]) -> list[_RawFile]:
+    return [await _prepare_one(storage, path) for path in files]
+
+
+async def _prepare_one(storage: Storage, path: Path) -> _RawFile:
+    size_bytes, key = path.stat().st_size, f"raw/{uuid.uuid4()}"
+    part_bytes = part_size_bytes(size_bytes)
+    multipart_id = await storage.begin_multipart(key) if size_bytes > part_bytes else None
+    parts, whole = [], 0
+    with path.open("rb") as stream:
+        for number, offset in enumerate(range(0, size_bytes, part_bytes), start=1):
+            body = stream.read(part_bytes)
+            whole = crc64nvme(body, whole)
+            target = PartTarget(key, multipart_id, number, len(body), crc64nvme(body).to_bytes(8, "big").hex())
+            parts.append(_RawPart(path, offset, await storage.sign_part(target, expires_s=3600)))
+    return _RawFile(key, multipart_id, whole.to_bytes(8, "big"), parts)
+
+
+async def _join(storage: Storage, files: list[_RawFile]) -> None:
+    for each in files:
+        if each.multipart_id:
+            await storage.complete_multipart(each.key, each.multipart_id, crc64nvme=each.crc64nvme)
+
+
+async def _with_storage(work: Callable[[Storage], object]) -> object:
+    async with open_storage(Settings(), ChecksumKind.crc64nvme) as storage:
+        return await work(storage)  # type: ignore[misc]  # each work above is a coroutine function
+
+
+def download_ours(project: str, mission: str, destination: str) -> dict[str, float]:
+    """Download through the SDK, verified by SHA-256."""
+    with connect() as client:
+        files = _files(client, project, mission)
+        started = time.perf_counter()
+        report = download(client, plan_download(files, Path(destination)))
+        seconds = time.perf_counter() - started
+    _refuse_failure(report.failed)
+    return {"seconds": seconds}
+
+
+def _files(client: Client, project: str, mission: str) -> list[object]:
+    return list(client.files.list(project=project, mission=mission))
+
+
+def download_raw(project: str, mission: str, destination: str) -> dict[str, float]:
+    """Fetch the same ranges with the same concurrency into a file, without looking at a byte."""
+    with connect() as client:
+        read = next(iter(client.files.list(project=project, mission=mission)))
+        url = client.files.links([read.id])[0].url
+    pool = urllib3.PoolManager(maxsize=CONNECTIONS)
+    started = time.perf_counter()
+    with ExitStack() as stack:
+        out = os.open(Path(destination) / "raw", os.O_CREAT | os.O_WRONLY)
+        stack.callback(os.close, out)
+
+        def fetch(offset: int) -> None:
+            end = min(offset + _READ_BYTES, read.size_bytes) - 1
+            answer = pool.request("GET", url, headers={"Range": f"bytes={offset}-{end}"}, preload_content=False)
+            position = offset
+            for piece in answer.stream(1024 * 1024):
+                position += os.pwrite(out, piece, position)
+            answer.release_conn()
+            if position != end + 1:
+                raise SystemExit("the store sent less than it said")
+
+        with ThreadPoolExecutor(CONNECTIONS) as fetchers:
+            list(fetchers.map(fetch, range(0, read.size_bytes, _READ_BYTES)))
+    return {"seconds": time.perf_counter() - started}
+
+
+def summary_remote(project: str, mission: str, path: str) -> dict[str, float]:
+    """Summarise a stored recording through a presigned address."""
+    with connect() as client:
+        read = next(each for each in client.files.list(project=project, mission=mission) if each.path == path)
+        url = client.files.links([read.id])[0].url
+    started = time.perf_counter()
+    source = CountingSource(HttpSource(url, size_bytes=read.size_bytes, name=path))
+    summary = summarise(source)
+    seconds = time.perf_counter() - started
+    return {"seconds": seconds, "bytes_read": source.bytes_read, "messages": summary.message_count or 0}
+
+
+SIDES: dict[str, Callable[..., dict[str, float]]] = {
+    side.__name__: side for side in (upload_ours, upload_raw, download_ours, download_raw, summary_remote)
+}
+
+
+def main() -> None:
+    """Run the side named on the command line."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    account = SIDES[sys.argv[1]](*sys.argv[2:])
+    # What importing cost is no part of a transfer.
+    account["import_cpu_s"] = usage.ru_utime + usage.ru_stime
+    sys.stdout.write(json.dumps(account))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Write what the code can say of itself: OpenAPI, the CLI reference, the settings reference. `--check` only compares."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import typer
+from pydantic_core import PydanticUndefined
+
+from kleinkram.cli.main import app as cli
+from kleinkram.server.app import create_app
+from kleinkram.server.settings import Settings
+
+_HERE = Path(__file__).parent
+_ENVIRONMENT = {
+    "database_url": "postgresql://kleinkram_serve@localhost/kleinkram",
+    "s3_internal_url": "http://localhost:8333",
+    "s3_access_key": "key",
+    "s3_secret_key": "secret",
+}
+
+
+def main() -> int:
+    """Write the generated pages; with `--check`, name those that are not up to date."""
+    pages = {
+        _HERE / "openapi.json": openapi(),
+        _HERE / "reference" / "cli.md": cli_reference(),
+        _HERE / "reference" / "settings.md": settings_reference(),
+    }
+    stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    if "--check" in sys.argv:
+        for path in stale:
+            sys.stderr.write(f"{path.relative_to(_HERE.parent)} is not what the code says; run `make generated`\n")
+        return 1 if stale else 0
+    for path in stale:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(pages[path], encoding="utf-8")
+    return 0
+
+
+def openapi() -> str:
+    """Return the API's description, the same on every machine."""
+    schema = create_app(Settings.model_validate(_ENVIRONMENT)).openapi()
+    return json.dumps(schema, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def settings_reference() -> str:
+    """Return every setting of the server with its default."""
+    lines = [
+        "# Settings",
+        "",
+        "Read from the environment when a process starts. `klein up` sets them itself; you set them when you run the",
+        "server on your own PostgreSQL and S3 (see [running on your own](../running.md)). This page is generated.",
+        "",
+        "| variable | default | what it is |",
+        "|---|---|---|",
+    ]
+    for name, field in sorted(Settings.model_fields.items()):
+        default = "required" if field.default is PydanticUndefined else f"`{field.default}`"
+        lines.append(f"| `KLEINKRAM_{name.upper()}` | {default} | {field.description} |")
+    return "\n".join(lines) + "\n"
+
+
+def cli_reference() -> str:
+    """Return every command with its arguments and options."""
+    root = typer.main.get_command(cli)
+    lines = ["# Commands", "", "What `klein --help` says, in one place. This page is generated.", ""]
+    for path, command in _commands(root, ["klein"]):
+        lines += _section(path, command)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _commands(command: click.Command, path: list[str]) -> Iterator[tuple[list[str], click.Command]]:
+    if not isinstance(command, click.Group):
+        yield path, command
+        return
+    context = click.Context(command, info_name=path[-1])
+    for name in sorted(command.list_commands(context)):
+        child = command.get_command(context, name)
+        if child is not None and not child.hidden:
+            yield from _commands(child, [*path, name])
+
+
+def _section(path: list[str], command: click.Command) -> list[str]:
+    context = click.Context(command, info_name=" ".join(path))
+    usage = " ".join([*path, *command.collect_usage_pieces(context)])
+    lines = [f"## `{' '.join(path)}`", "", f"    {usage}", "", (command.help or "").strip(), ""]
+    rows = [record for parameter in command.get_params(context) if (record := parameter.get_help_record(context))]
+    rows = [(names, text) for names, text in rows if "--help" not in names]
+    if rows:
+        lines += ["| option | meaning |", "|---|---|"]
+        lines += [f"| `{names}` | {' '.join(text.split())} |".replace("[", "\\[") for names, text in rows]
+        lines.append("")
+    return lines
+
+
+if __name__ == "__main__":
+    sys.exit(main())

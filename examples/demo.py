@@ -1,0 +1,233 @@
+"""The main story, told by the real commands against a real instance: `make demo` (`--story` tells all of it).
+
+Everything happens in `.demo/`, on loopback, and is stopped at the end. Exit code 0 means that every step held.
+"""
+
+import argparse
+import filecmp
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+STAGE = ROOT / ".demo"
+KLEIN = Path(sys.executable).parent / "klein"
+START_LIMIT_S = 60
+
+FIELDS = """\
+# What every mission of this project must say of itself.
+undeclared: refuse
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Which robot was out}
+  - {name: operator, type: string, required: true, description: Who held the remote}
+  - {name: temperature, type: number, unit: degC}
+  - {name: location, type: location}
+"""
+METADATA = """\
+robot: anymal
+operator: Ada
+temperature: 7.5 degC
+location: {latitude: 46.5475, longitude: 7.9808, name: Jungfraujoch}
+"""
+
+
+class Failed(Exception):
+    """A step of the story did not hold."""
+
+
+def main() -> int:
+    """Tell the story; 0 when all of it held."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--story", action="store_true", help="tell all of it")
+    told = arguments.parse_args()
+    story = Story()
+    try:
+        with running_instance(story):
+            tell(story)
+            if told.story:
+                tell_the_rest(story)
+    except Failed as failure:
+        sys.stderr.write(f"\nThe demo failed: {failure}\n")
+        return 1
+    story.close()
+    return 0
+
+
+class Story:
+    """The steps, their output and their times."""
+
+    def __init__(self) -> None:
+        self.times: list[tuple[str, float]] = []
+        self.started = time.monotonic()
+
+    @contextmanager
+    def step(self, title: str) -> Iterator[None]:
+        """Run one step and keep its time."""
+        print(f"\n\033[1m{title}\033[0m", flush=True)
+        started = time.monotonic()
+        yield
+        self.times.append((title, time.monotonic() - started))
+
+    def close(self) -> None:
+        """Print where the time went."""
+        print("\n\033[1mWhere the time went\033[0m")
+        for title, seconds in self.times:
+            print(f"  {seconds:6.1f} s  {title}")
+        print(f"  {time.monotonic() - self.started:6.1f} s  in all\n")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment in which `klein` finds only the demo's own instance."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
+    homes = {"XDG_CONFIG_HOME": STAGE / "config", "XDG_STATE_HOME": STAGE / "state", "XDG_DATA_HOME": STAGE / "share"}
+    return {
+        **kept,
+        **{key: str(path) for key, path in homes.items()},
+        "KLEINKRAM_DATA_DIR": str(STAGE / "data"),
+        "COLUMNS": "140",
+    }
+
+
+def klein(*arguments: str | Path, show: bool = True, expect: int = 0) -> str:
+    """Run one command as a person would, and return what it printed on stdout."""
+    command = [str(KLEIN), *map(str, arguments)]
+    if show:
+        print(f"$ klein {' '.join(map(str, arguments))}", flush=True)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd=STAGE, check=False)
+    if show:
+        for text in (done.stdout, done.stderr):
+            print("".join(f"  {line}\n" for line in text.splitlines()), end="", flush=True)
+    if done.returncode != expect:
+        detail = "" if show else done.stderr
+        raise Failed(f"`klein {' '.join(map(str, arguments))}` ended with {done.returncode}, not {expect}. {detail}")
+    return done.stdout
+
+
+@contextmanager
+def running_instance(story: Story) -> Iterator[None]:
+    """Start Kleinkram on a fresh stage, and stop it cleanly."""
+    if (STAGE / "data").exists():
+        subprocess.run([KLEIN, "down"], env=environment(), capture_output=True, check=False)
+    shutil.rmtree(STAGE, ignore_errors=True)
+    STAGE.mkdir()
+    with story.step("Start Kleinkram: PostgreSQL, S3, API and worker, as one command"):
+        print("$ klein up --port 0", flush=True)
+        process = subprocess.Popen([KLEIN, "up"], env=environment(), stdout=subprocess.PIPE, text=True, cwd=STAGE)
+        line = process.stdout.readline() if process.stdout else ""
+        if not line:
+            raise Failed("Kleinkram did not start; its logs are in .demo/data/logs")
+        print(f"  {line.strip()}")
+    try:
+        yield
+    finally:
+        with story.step("Stop it, cleanly"):
+            process.send_signal(signal.SIGINT)
+            code = process.wait(timeout=60)
+    if code != 0:
+        raise Failed(f"Kleinkram ended with {code}")
+
+
+def tell(story: Story) -> None:
+    """Upload a field day, know what is in it, find it, get it back, and kill an upload half-way."""
+    with story.step("Make a sample mission: MCAP, ROS 1 bag and rosbag2, with cameras, lidar, IMU, GPS, tf"):
+        klein("sample", "field-day", "--size", "150MB", "--seed", "7")
+    with story.step("A project says what its missions must say of themselves"):
+        (STAGE / "fields.yaml").write_text(FIELDS)
+        klein("project", "create", "alpine", "--description", "Walks above the snow line", "--fields", "fields.yaml")
+    with story.step("Without the metadata, nothing is uploaded"):
+        (STAGE / "wrong.yaml").write_text("robot: rover\ntemprature: 7\n")
+        klein(
+            "upload",
+            "-p",
+            "alpine",
+            "-m",
+            "jungfraujoch-1",
+            "--create",
+            "--metadata",
+            "wrong.yaml",
+            "field-day",
+            expect=6,
+        )
+    with story.step("Upload, and wait for the summaries"):
+        (STAGE / "mission.yaml").write_text(METADATA)
+        klein(
+            *("upload", "-p", "alpine", "-m", "jungfraujoch-1", "--create"),
+            *("--metadata", "mission.yaml", "--wait", "field-day"),
+        )
+    with story.step("What is in it"):
+        klein("project", "info", "alpine")
+        klein("mission", "info", "jungfraujoch-1", "-p", "alpine")
+    with story.step("Find a file by a topic in it"):
+        klein("search", "--topic", "*imu*", "--where", "robot=anymal")
+        found = json.loads(klein("search", "--topic", "*imu*", "--json", show=False))
+        if not found["items"]:
+            raise Failed("the search for an IMU topic found nothing")
+    with story.step("Get it back, and prove that every byte is the same"):
+        klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")
+        compare(STAGE / "field-day", STAGE / "back")
+    kill_and_resume(story)
+
+
+def compare(source: Path, copy: Path) -> None:
+    """Compare two folders byte by byte."""
+    files = sorted(path.relative_to(source) for path in source.rglob("*") if path.is_file())
+    roots = [copy, copy / source.name]
+    for path in files:
+        there = next((root / path for root in roots if (root / path).is_file()), None)
+        if there is None or not filecmp.cmp(source / path, there, shallow=False):
+            raise Failed(f"{path} did not come back as it went")
+    print(f"  {len(files)} files compared: all identical")
+
+
+def kill_and_resume(story: Story) -> None:
+    """Kill an upload half-way with SIGKILL, run the same command again, and show what was not sent twice."""
+    with story.step("Kill an upload half-way (kill -9) ..."):
+        klein("sample", "second-day", "--size", "120MB", "--seed", "8", show=False)
+        command = ["upload", "-p", "alpine", "-m", "jungfraujoch-2", "--create", "--metadata", "mission.yaml"]
+        print(f"$ klein {' '.join(command)} --limit-rate 20M second-day  &  kill -9 $!", flush=True)
+        process = subprocess.Popen(
+            [KLEIN, *command, "--limit-rate", "20M", "second-day"],
+            env=environment(),
+            cwd=STAGE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        # Half-way by the clock of the rate limit: 120 MB at 20 MB/s.
+        try:
+            process.wait(timeout=3.5)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        if process.returncode != -signal.SIGKILL:
+            raise Failed(f"the upload ended by itself ({process.returncode}) before it could be killed")
+    with story.step("... and run the same command again"):
+        klein(*command, "second-day")
+        klein("verify", "-p", "alpine", "-m", "jungfraujoch-2", "second-day")
+
+
+def tell_the_rest(story: Story) -> None:
+    """The rest of the story: numbers, mistakes that are refused, and taking things back."""
+    with story.step("Numbers for a paper"):
+        klein("stats", "--by", "topic", "-p", "alpine")
+        klein("stats", "--by", "metadata.robot")
+    with story.step("The same folder again: nothing is sent"):
+        klein("upload", "-p", "alpine", "-m", "jungfraujoch-1", "field-day")
+    with story.step("Delete, and take it back"):
+        klein("mission", "delete", "jungfraujoch-2", "-p", "alpine", "--yes")
+        klein("trash", "list")
+        klein("trash", "restore", "mission", "jungfraujoch-2")
+    with story.step("What happened"):
+        klein("audit", "-p", "alpine")
+    with story.step("Is all well?"):
+        klein("doctor")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
