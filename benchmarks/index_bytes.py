@@ -1,4 +1,4 @@
-"""How many bytes of a recording are its index: what a summary cannot do without. Read off the file, not by our reader."""
+"""How many bytes of a recording are its index: what no summary can do without. Read off the file by other readers."""
 
 import struct
 from pathlib import Path

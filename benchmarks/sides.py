@@ -89,7 +89,7 @@ async def _prepare(storage: Storage, files: list[Path]) -> list[_RawFile]:
 
 
 async def _prepare_one(storage: Storage, path: Path) -> _RawFile:
-    size_bytes, key = path.stat().st_size, f"raw/{uuid.uuid4()}"
+    size_bytes, key = os.stat(path).st_size, f"raw/{uuid.uuid4()}"
     part_bytes = part_size_bytes(size_bytes)
     multipart_id = await storage.begin_multipart(key) if size_bytes > part_bytes else None
     parts, whole = [], 0

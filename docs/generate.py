@@ -1,4 +1,4 @@
-"""Write what the code can say of itself: OpenAPI, the CLI reference, the settings reference. `--check` only compares."""
+"""Write what the code says of itself: OpenAPI, CLI reference, settings reference. `--check` only compares."""
 
 import json
 import sys
