@@ -22,6 +22,7 @@ CHUNK_HEAD_BYTES = 64
 
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
+_INDEX_ENTRY_BYTES = 12
 _INDEX_HEAD_BYTES = 4 + (4 + 4) + (4 + 8) + (4 + 9) + (4 + 10) + 4
 
 
@@ -92,21 +93,18 @@ class Connection:
 
     topic: str
     message_type: str
-    md5sum: str
 
 
-@dataclass(frozen=True)
-class ChunkInfo:
-    """What the index says of a chunk: where it is, from when, and messages by connection."""
+class ChunkInfo(NamedTuple):
+    """What the index says of a chunk: where it is, from when, and messages.
+
+    `index_bytes`: size of the index records behind the chunk, as every known writer writes them.
+    """
 
     position: int
     first_ns: int
-    counts: dict[int, int]
-
-    @property
-    def index_bytes(self) -> int:
-        """Size of the index records behind the chunk, as every known writer writes them."""
-        return len(self.counts) * _INDEX_HEAD_BYTES + 12 * sum(self.counts.values())
+    messages: int
+    index_bytes: int
 
 
 class ChunkHead(NamedTuple):
@@ -136,7 +134,7 @@ def read_fields(stream: ForwardStream) -> tuple[Fields, int]:
 def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Connection]:
     """Return number and content of a connection record."""
     inner = Fields(data, where)
-    connection = Connection(fields.text("topic"), inner.text("type"), inner.text("md5sum", ""))
+    connection = Connection(fields.text("topic"), inner.text("type"))
     return fields.u32("conn"), connection
 
 
@@ -144,8 +142,9 @@ def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:
     """Return a chunk info record."""
     if len(data) != 8 * fields.u32("count"):
         raise Malformed(where, "a chunk info whose length does not fit its count")
-    counts = dict(struct.iter_unpack("<II", data))
-    return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), counts)
+    counts = array_u32(data)[1::2]
+    index_bytes = len(counts) * _INDEX_HEAD_BYTES + _INDEX_ENTRY_BYTES * sum(counts)
+    return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), sum(counts), index_bytes)
 
 
 def read_chunk_head(stream: ForwardStream) -> ChunkHead:
@@ -163,10 +162,16 @@ def read_index_data(stream: ForwardStream) -> tuple[int, list[int], array[int]]:
     fields, data_bytes = read_fields(stream)
     if fields.opcode() != INDEX_DATA or fields.u32("ver") != 1:
         raise Malformed(where, "something else where index data should be")
-    if data_bytes != 12 * fields.u32("count"):
+    if data_bytes != _INDEX_ENTRY_BYTES * fields.u32("count"):
         raise Malformed(where, "index data whose length does not fit its count")
-    flat = array("I", stream.take(data_bytes))
-    if sys.byteorder == "big":
-        flat.byteswap()
+    flat = array_u32(stream.take(data_bytes))
     stamps = [s * 1_000_000_000 + n for s, n in zip(flat[0::3], flat[1::3], strict=True)]
     return fields.u32("conn"), stamps, flat[2::3]
+
+
+def array_u32(data: bytes) -> array[int]:
+    """Return little-endian 32-bit numbers."""
+    numbers = array("I", data)
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    return numbers

@@ -9,14 +9,15 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import accumulate
+from itertools import chain, islice
 
 from kleinkram.recordings import bag_records as records
 from kleinkram.recordings.assemble import TopicType, bounded, measure
 from kleinkram.recordings.bag_records import ChunkInfo, Connection
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.packed import PackedTable, smallest_to_come
 from kleinkram.recordings.sources import Source, read_ranges
 from kleinkram.recordings.stream import Cut, ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
@@ -30,7 +31,8 @@ class _Bag:
 
     index_start: int
     connections: dict[int, Connection] = field(default_factory=dict)
-    chunks: list[ChunkInfo] = field(default_factory=list)
+    chunks: PackedTable[ChunkInfo] = field(default_factory=lambda: PackedTable(ChunkInfo, len(ChunkInfo._fields)))
+    names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
     timeline: Timeline = field(default_factory=Timeline)
     problems: list[Problem] = field(default_factory=list)
@@ -84,12 +86,13 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
         if opcode == records.CONNECTION:
             number, connection = records.read_connection(fields, data, where)
             bag.connections[number] = connection
+            bag.names_bytes += len(connection.topic) + len(connection.message_type)
         elif opcode == records.CHUNK_INFO:
             bag.chunks.append(records.read_chunk_info(fields, data, where))
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
-        if len(bag.connections) > MAX_TOPICS:
-            raise Malformed(where, f"more than {MAX_TOPICS} connections", certain=False)
+        if len(bag.connections) > MAX_TOPICS or bag.names_bytes > MAX_NAMES:
+            raise Malformed(where, "more connections than are read", certain=False)
         left -= 1
     if left:
         raise Malformed(f"byte {source.size_bytes}", f"the file is cut within its index: {left} records are missing")
@@ -97,7 +100,7 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
 
 
 def _check_places(bag: _Bag) -> None:
-    bag.chunks.sort(key=lambda chunk: chunk.position)
+    bag.chunks.sort()
     end = len(records.MAGIC)
     for chunk in bag.chunks:
         if chunk.position < end or chunk.position + records.CHUNK_HEAD_BYTES // 2 > bag.index_start:
@@ -108,13 +111,12 @@ def _check_places(bag: _Bag) -> None:
 def _read_chunk_indexes(source: Source, bag: _Bag) -> None:
     for connection in bag.connections.values():
         bag.timeline.topic(connection.topic)
-    still_to_come = list(accumulate((chunk.first_ns for chunk in reversed(bag.chunks)), min))
-    still_to_come.reverse()
-    for number, (chunk, head, stream) in enumerate(_chunk_streams(source, bag)):
+    watermarks = smallest_to_come(bag.chunks.column(ChunkInfo._fields.index("first_ns")))
+    for (chunk, head, stream), before_ns in zip(_chunk_streams(source, bag), watermarks, strict=True):
         bag.compression.add(head.compression)
         entries = _read_chunk_entries(stream, bag, chunk)
         bag.timeline.add_chunk(entries, uncompressed_bytes=head.uncompressed_bytes, stored_bytes=head.data_bytes)
-        bag.timeline.settle(still_to_come[number + 1] if number + 1 < len(bag.chunks) else None)
+        bag.timeline.settle(before_ns)
 
 
 def _chunk_streams(source: Source, bag: _Bag) -> Iterator[tuple[ChunkInfo, records.ChunkHead, ForwardStream]]:
@@ -123,16 +125,20 @@ def _chunk_streams(source: Source, bag: _Bag) -> Iterator[tuple[ChunkInfo, recor
     The index data of a chunk end where the next chunk begins, and their size follows from the chunk info. So one read
     fetches them together with the next chunk's header; where a writer does otherwise, the header says where they are.
     """
-    if not bag.chunks:
+    if not len(bag.chunks):
         return
-    reads = _plan_reads(bag)
-    answers = read_ranges(source, ((start, stop - start) for _, start, stop in reads))
+    first = bag.chunks[0].position
+    first_head = (first, min(records.CHUNK_HEAD_BYTES, bag.index_start - first))
+    reads = ((start, stop - start) for _, start, stop in _plan_reads(bag))
+    answers = read_ranges(source, chain([first_head], reads))
     head_bytes = next(answers)
-    for chunk, (end, start, _stop), answer in zip(bag.chunks, reads[1:], answers, strict=True):
+    for chunk, (end, start, _stop), answer in zip(bag.chunks, _plan_reads(bag), answers, strict=True):
         head = _parse_head(source, chunk.position, head_bytes)
         index_start = chunk.position + head.data_start + head.data_bytes
         if index_start > end:
             raise Malformed(f"byte {chunk.position}", "a chunk reaches into the next one, or into the index")
+        if end - index_start > MAX_CHUNK_INDEX:
+            raise Malformed(f"byte {index_start}", "the index of a chunk is too large to be read", certain=False)
         if index_start == start:
             yield chunk, head, open_bytes(answer[: end - start], start)
         else:
@@ -140,16 +146,12 @@ def _chunk_streams(source: Source, bag: _Bag) -> Iterator[tuple[ChunkInfo, recor
         head_bytes = answer[end - start :]
 
 
-def _plan_reads(bag: _Bag) -> list[tuple[int, int, int]]:
-    """Return (end of the index data, start, stop) of each read: the first chunk's header, then one read a chunk."""
-    first = bag.chunks[0].position
-    head = records.CHUNK_HEAD_BYTES
-    reads = [(first, first, min(first + head, bag.index_start))]
-    ends = [*(chunk.position for chunk in bag.chunks[1:]), bag.index_start]
+def _plan_reads(bag: _Bag) -> Iterator[tuple[int, int, int]]:
+    """Yield for each chunk where its index data end, and what to read: they, and the header of the next chunk."""
+    ends = chain(islice((chunk.position for chunk in bag.chunks), 1, None), [bag.index_start])
     for chunk, end in zip(bag.chunks, ends, strict=True):
         size = min(chunk.index_bytes, end - chunk.position)
-        reads.append((end, end - size if size <= WINDOW else end, min(end + head, bag.index_start)))
-    return reads
+        yield end, end - size if size <= WINDOW else end, min(end + records.CHUNK_HEAD_BYTES, bag.index_start)
 
 
 def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.ChunkHead:
@@ -161,20 +163,20 @@ def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.Chu
 
 def _read_chunk_entries(stream: ForwardStream, bag: _Bag, chunk: ChunkInfo) -> list[ChunkEntries]:
     by_topic: dict[str, ChunkEntries] = {}
-    counts: dict[int, int] = {}
+    found = 0
     while not stream.at_end():
         where = f"byte {stream.position}"
         number, stamps, offsets = records.read_index_data(stream)
         connection = bag.connections.get(number)
         if connection is None:
             raise Malformed(where, f"index data of connection {number}, which the bag does not define")
-        counts[number] = counts.get(number, 0) + len(stamps)
+        found += len(stamps)
         known = by_topic.get(connection.topic)
         if known is not None:
             stamps, offsets = [*known.stamps, *stamps], array("I", known.offsets) + offsets
         by_topic[connection.topic] = ChunkEntries(connection.topic, stamps, offsets)
-    if counts != {number: count for number, count in chunk.counts.items() if count or number in counts}:
-        message = f"its index data list {sum(counts.values())} messages, the chunk info {sum(chunk.counts.values())}"
+    if found != chunk.messages and len(bag.problems) <= MAX_PROBLEMS:
+        message = f"its index data list {found} messages, the chunk info {chunk.messages}"
         bag.problems.append(Problem("counts-disagree", f"chunk at byte {chunk.position}", message))
     return list(by_topic.values())
 

@@ -21,14 +21,20 @@ MAX_TAKE = 8 * 2**20
 MAX_NAME = 4096
 """Bytes of a topic, type, encoding or library name."""
 
+MAX_NAMES = 8 * 2**20
+"""Bytes of all names of one file together."""
+
 MAX_TOPICS = 20_000
 """Topics of one file. MCAP can count to 65535 channels, a bag to 2^32 connections."""
 
 MAX_CHUNKS = 16_000_000
 """Chunks of one file: 16 TB in chunks of 1 MB."""
 
-MAX_PENDING_STAMPS = 3_000_000
+MAX_PENDING_STAMPS = 1_000_000
 """Log times held until it is sure that no earlier one follows (8 bytes each)."""
+
+MAX_CHUNK_INDEX = 8 * 2**20
+"""Bytes of the index of one chunk: half a million messages."""
 
 MAX_SCAN_BYTES = 16 * 2**30
 """Bytes of a file without index that a summary reads; a larger one stays pending for a scan."""

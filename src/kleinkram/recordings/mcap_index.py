@@ -10,12 +10,13 @@ import zlib
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import chain
 
 from kleinkram.recordings import mcap_records as records
 from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.limits import MAX_TAKE, TAIL, WINDOW
-from kleinkram.recordings.mcap_records import McapFacts
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, TAIL, WINDOW
+from kleinkram.recordings.mcap_records import ChunkPlace, McapFacts
+from kleinkram.recordings.packed import smallest_to_come
 from kleinkram.recordings.sources import Source, read_ranges
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
@@ -132,19 +133,19 @@ def _check_places(facts: McapFacts, footer: Footer) -> None:
             raise Malformed(f"byte {place.start}", "the chunk index lists chunks that overlap")
         if place.end > footer.summary_start:
             raise Malformed(f"byte {place.start}", "the chunk index points behind the data")
+        if place.end - place.index_start > MAX_CHUNK_INDEX:
+            raise Malformed(f"byte {place.start}", "the index of a chunk is too large to be read", certain=False)
         end = place.end
 
 
 def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline) -> None:
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
-    starts = facts.chunks.column("first_ns")
-    still_to_come = array("Q", accumulate(reversed(starts), min))
-    still_to_come.reverse()
-    for number, (place, stream) in enumerate(zip(facts.chunks, _index_streams(source, facts), strict=True)):
+    watermarks = smallest_to_come(facts.chunks.column(ChunkPlace._fields.index("first_ns")))
+    for place, stream, before_ns in zip(facts.chunks, _index_streams(source, facts), watermarks, strict=True):
         entries = _read_chunk_entries(stream, facts)
         timeline.add_chunk(entries, uncompressed_bytes=place.uncompressed_bytes, stored_bytes=place.compressed_bytes)
-        timeline.settle(still_to_come[number + 1] if number + 1 < len(still_to_come) else None)
+        timeline.settle(before_ns)
 
 
 def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
@@ -165,8 +166,6 @@ def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEn
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         if opcode != records.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
-        if length > MAX_TAKE:
-            raise Malformed(where, f"a message index of {length} bytes; at most {MAX_TAKE} are read", certain=False)
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
         channel = facts.channels.get(channel_id)
         if channel is None:
@@ -195,16 +194,12 @@ def _compare_with_statistics(facts: McapFacts, timeline: Timeline) -> None:
 def _refuse_messages_outside_chunks(source: Source, facts: McapFacts, footer: Footer) -> None:
     """Without statistics, walk over what no chunk covers: messages may stand there, which no index lists."""
     position = len(records.MAGIC)
-    walked = 0
-    ends = {place.start: place.end for place in facts.chunks}
-    while position < footer.summary_start:
-        if position in ends:
-            position = ends[position]
-            continue
-        walked += 1
-        opcode, length = records.RECORD_HEAD.unpack(source.read(position, records.RECORD_HEAD.size))
-        if opcode in (records.MESSAGE, records.CHUNK) or walked > _MOST_RECORDS_WALKED:
-            raise NotIndexed("no-statistics", "the index does not list all messages", is_problem=False)
-        if opcode == records.DATA_END:
-            return
-        position += records.RECORD_HEAD.size + length
+    left = _MOST_RECORDS_WALKED
+    for start, end in chain(((p.start, p.end) for p in facts.chunks), [(footer.summary_start, footer.start)]):
+        while position < start:
+            opcode, length = records.RECORD_HEAD.unpack(source.read(position, records.RECORD_HEAD.size))
+            left -= 1
+            if opcode in (records.MESSAGE, records.CHUNK) or left == 0:
+                raise NotIndexed("no-statistics", "the index does not list all messages", is_problem=False)
+            position += records.RECORD_HEAD.size + length
+        position = end

@@ -8,13 +8,12 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from operator import le
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_CHUNKS, MAX_NAME, MAX_TOPICS
+from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.packed import PackedTable
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
@@ -48,7 +47,6 @@ class Statistics(NamedTuple):
     channels: int
     attachments: int
     metadata_records: int
-    messages_by_channel: dict[int, int]
 
 
 class ChunkPlace(NamedTuple):
@@ -62,53 +60,6 @@ class ChunkPlace(NamedTuple):
     uncompressed_bytes: int
 
 
-class ChunkTable:
-    """Places of chunks, 48 bytes each."""
-
-    _STRIDE = len(ChunkPlace._fields)
-
-    def __init__(self) -> None:
-        self._flat = array("Q")
-
-    def __len__(self) -> int:
-        return len(self._flat) // self._STRIDE
-
-    def __getitem__(self, number: int) -> ChunkPlace:
-        at = number * self._STRIDE
-        return ChunkPlace(*self._flat[at : at + self._STRIDE])
-
-    def __iter__(self) -> Iterator[ChunkPlace]:
-        return (self[number] for number in range(len(self)))
-
-    def append(self, place: ChunkPlace) -> None:
-        """Add a chunk.
-
-        Raises:
-            Malformed: a number that no file can hold, or more than `MAX_CHUNKS`.
-        """
-        if len(self) >= MAX_CHUNKS:
-            raise Malformed("summary", f"more than {MAX_CHUNKS} chunks", certain=False)
-        try:
-            self._flat.extend(place)
-        except OverflowError:
-            del self._flat[len(self) * self._STRIDE :]
-            raise Malformed("summary", "a chunk index points beyond any file") from None
-
-    def column(self, name: str) -> array[int]:
-        """Return one field of all chunks, in order."""
-        return self._flat[ChunkPlace._fields.index(name) :: self._STRIDE]
-
-    def sort(self) -> None:
-        """Bring the chunks into the order of the file."""
-        starts = self.column("start")
-        if all(map(le, starts, starts[1:])):
-            return
-        ordered = array("Q")
-        for number in sorted(range(len(self)), key=starts.__getitem__):
-            ordered.extend(self[number])
-        self._flat = ordered
-
-
 @dataclass
 class McapFacts:
     """What the records of one file said so far."""
@@ -118,7 +69,8 @@ class McapFacts:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     statistics: Statistics | None = None
-    chunks: ChunkTable = field(default_factory=ChunkTable)
+    chunks: PackedTable[ChunkPlace] = field(default_factory=lambda: PackedTable(ChunkPlace, len(ChunkPlace._fields)))
+    names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
     attachments: int = 0
     metadata_records: int = 0
@@ -185,25 +137,35 @@ def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a schema. Only the head of the body is looked at, so it may be cut behind the encoding."""
     reader = BodyReader(body, where)
     (schema_id,) = reader.fields(_U16)
-    facts.schemas[schema_id] = Schema(reader.text(), reader.text())
+    schema = Schema(reader.text(), reader.text())
+    if schema_id not in facts.schemas:
+        _count_names(facts, where, *schema)
+    facts.schemas[schema_id] = schema
 
 
 def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a channel. Only the head of the body is looked at, so it may be cut behind the encoding."""
     reader = BodyReader(body, where)
     channel_id, schema_id = reader.fields(_PAIR_U16)
-    if channel_id not in facts.channels and len(facts.channels) >= MAX_TOPICS:
-        raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
-    facts.channels[channel_id] = Channel(schema_id, reader.text(), reader.text())
+    channel = Channel(schema_id, reader.text(), reader.text())
+    if channel_id not in facts.channels:
+        if len(facts.channels) >= MAX_TOPICS:
+            raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
+        _count_names(facts, where, channel.topic, channel.message_encoding)
+    facts.channels[channel_id] = channel
+
+
+def _count_names(facts: McapFacts, where: str, *names: str) -> None:
+    facts.names_bytes += sum(map(len, names))
+    if facts.names_bytes > MAX_NAMES:
+        raise Malformed(where, f"more than {MAX_NAMES} bytes of names", certain=False)
 
 
 def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
     """Note the statistics."""
     reader = BodyReader(body, where)
     messages, _schemas, channels, attachments, metadata_records, _chunks, _start, _end = reader.fields(_STATISTICS)
-    counts = reader.counted()
-    by_channel = dict(struct.iter_unpack("<HQ", counts[: len(counts) // 10 * 10]))
-    facts.statistics = Statistics(messages, channels, attachments, metadata_records, by_channel)
+    facts.statistics = Statistics(messages, channels, attachments, metadata_records)
 
 
 def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:

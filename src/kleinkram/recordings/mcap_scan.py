@@ -26,7 +26,8 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _U64 = struct.Struct("<Q")
 _U32 = struct.Struct("<I")
 _HEAD_OF_DEFINITION = 3 * 4096 + 16
-_FLUSH_AT = 500_000
+_FLUSH_AT = 1_000_000
+_MOST_DAMAGE = 10_000
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
 
 
@@ -134,7 +135,7 @@ class _Scanner:
         try:
             self._read_chunk_body(stream, start, length)
         except Malformed as error:
-            self.scan.damage.append(Malformed(f"chunk at byte {start}", error.message))
+            self._note(Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
         stream.skip(end - stream.position)
 
     def _read_chunk_body(self, stream: ForwardStream, start: int, length: int) -> None:
@@ -151,6 +152,9 @@ class _Scanner:
         while not inner.at_end():
             opcode, inner_length = records.RECORD_HEAD.unpack(inner.take(records.RECORD_HEAD.size))
             self._read_common(inner, opcode, inner_length, batch)
+            if batch.count >= _FLUSH_AT:
+                self._flush(batch, stored, uncompressed)
+                batch = _Batch()
         if inner.position != uncompressed:
             raise Malformed(f"byte {start}", f"{uncompressed} bytes are claimed, {inner.position} came out")
         if crc and inner.crc != crc:
@@ -166,13 +170,17 @@ class _Scanner:
         crc = stream.stop_crc()
         (claimed,) = _unpack(_U32, stream, _U32.size)
         if claimed and claimed != crc:
-            self.scan.damage.append(Malformed(f"attachment at byte {start}", "its checksum is wrong"))
+            self._note(Malformed(f"attachment at byte {start}", "its checksum is wrong"))
 
     def _check_data_end(self, stream: ForwardStream, length: int, crc: int, start: int) -> None:
         (claimed,) = _unpack(_U32, stream, length)
         stream.skip(length - _U32.size)
         if claimed and claimed != crc and not self._data_ended:
-            self.scan.damage.append(Malformed(f"bytes 0 to {start}", "the checksum of the data section is wrong"))
+            self._note(Malformed(f"data section (bytes 0 to {start})", "its checksum is wrong"))
+
+    def _note(self, fault: Malformed) -> None:
+        if len(self.scan.damage) < _MOST_DAMAGE:
+            self.scan.damage.append(fault)
 
     def _flush(self, batch: _Batch, stored: int, uncompressed: int) -> None:
         for channel_id, stamps in batch.stamps.items():

@@ -42,9 +42,9 @@ def summarise_mcap(source: Source) -> RecordingSummary:
         return RecordingSummary(RecordingFormat.mcap, Content.pending, reason, problems=tuple(problems))
     timeline = Timeline()
     scan = scan_mcap(source, timeline)
-    why = _why_broken(scan, whole=footer is not None, messages=sum(t.count for t in timeline.topics.values()))
+    why = _why_not_whole(scan, whole=footer is not None, messages=sum(t.count for t in timeline.topics.values()))
     problems += [Problem("damaged", error.where, error.message) for error in scan.damage]
-    content = Content.broken if why else Content.indexed
+    content = _content(scan, why)
     return _summary(content, why, scan.facts, timeline, problems)
 
 
@@ -61,15 +61,23 @@ def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> N
         problems.append(Problem("header-damaged", error.where, error.message))
 
 
-def _why_broken(scan: Scan, *, whole: bool, messages: int) -> str | None:
+def _content(scan: Scan, why: str | None) -> Content:
+    if why is None:
+        return Content.indexed
+    faults = [*scan.damage, *([scan.ended] if scan.ended else [])]
+    return Content.pending if faults and not any(fault.certain for fault in faults) else Content.broken
+
+
+def _why_not_whole(scan: Scan, *, whole: bool, messages: int) -> str | None:
     if scan.ended is not None:
-        cause = f"{scan.ended.message}, at {scan.ended.where}"
+        cut = "" if whole else "it has no footer, so it was cut or never closed: "
+        cause = f"{cut}{scan.ended.message}, at {scan.ended.where}"
     elif scan.damage:
         first = scan.damage[0]
         more = f" (and {len(scan.damage) - 1} more damaged places)" if len(scan.damage) > 1 else ""
-        cause = f"{first.where} is damaged: {first.message}{more}"
+        cause = f"the {first.where} is damaged: {first.message}{more}"
     elif not whole:
-        cause = "bytes follow its footer"
+        cause = "something else follows its footer"
     else:
         return None
     return f"{cause}; {messages} messages can be read"

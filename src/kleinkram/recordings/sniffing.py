@@ -25,7 +25,6 @@ _MAGICS = (
     (b"#ROSRECORD V1", RecordingFormat.rosbag1_old),
     (b"ULog\x01\x12\x35", RecordingFormat.ulog),
     (b"\x28\xb5\x2f\xfd", RecordingFormat.zstd),
-    (b"SVO", RecordingFormat.svo),
 )
 _BINARY = frozenset(
     (

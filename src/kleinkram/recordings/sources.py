@@ -6,6 +6,7 @@ Sources are safe to share between threads, hold no more than the bytes they retu
 from __future__ import annotations
 
 import os
+import stat
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -60,10 +61,15 @@ class FileSource:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = Path(path).name
         try:
-            self._descriptor = os.open(path, os.O_RDONLY)
-            self.size_bytes = os.fstat(self._descriptor).st_size
+            # Without O_NONBLOCK, a pipe would wait here for somebody to write into it.
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error
+        status = os.fstat(self._descriptor)
+        self.size_bytes = status.st_size
+        if not stat.S_ISREG(status.st_mode):
+            self.close()
+            raise SourceError(f"{path}: is not a regular file")
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`."""
