@@ -1,0 +1,73 @@
+import dataclasses
+
+import pytest
+
+from kleinkram.contract.errors import (
+    ERRORS,
+    ErrorCode,
+    FieldProblem,
+    FileExists,
+    InternalError,
+    KleinkramError,
+    MetadataInvalid,
+    ProblemDocument,
+    from_problem,
+    to_problem,
+)
+
+_VALUES: dict[str, object] = {
+    "str": "text",
+    "int": 7,
+    "str | None": "text",
+    "list[str]": ["a/b (1)", "a/c (2)"],
+    "list[FieldProblem]": [FieldProblem(field="robot", message="is missing", line=3)],
+}
+
+
+def _example(cls: type[KleinkramError]) -> KleinkramError:
+    return cls(
+        **{
+            field.name: _VALUES[str(field.type)] if isinstance(field.type, str) else _of(field.type)
+            for field in dataclasses.fields(cls)
+        }
+    )
+
+
+def _of(kind: object) -> object:
+    name = getattr(kind, "__name__", str(kind))
+    return _VALUES.get(name, _VALUES.get(str(kind).replace("kleinkram.contract.errors.", ""), "text"))
+
+
+def test_every_code_has_one_class() -> None:
+    assert set(ERRORS) == set(ErrorCode)
+
+
+@pytest.mark.parametrize("code", ErrorCode)
+def test_an_error_crosses_the_wire_and_is_the_same(code: ErrorCode) -> None:
+    error = _example(ERRORS[code])
+    document = to_problem(error, "text").model_dump_json()
+    back = from_problem(ProblemDocument.model_validate_json(document))
+    assert type(back) is type(error)
+    assert back.sentence() == error.sentence()
+    assert "{" not in error.sentence()
+
+
+def test_the_sentence_names_both_hashes() -> None:
+    error = FileExists(path="run.mcap", existing_sha256="aa", given_sha256="bb", existing_file_id="1")
+    assert "aa" in str(error)
+    assert "bb" in str(error)
+
+
+def test_all_problems_are_named_at_once() -> None:
+    problems = [FieldProblem(field="robot", message="is missing"), FieldProblem(field="site", message="is unknown")]
+    sentence = str(MetadataInvalid(problems=problems))
+    assert "robot: is missing" in sentence
+    assert "site: is unknown" in sentence
+
+
+def test_a_newer_server_that_leaves_out_a_field_does_not_make_a_wrong_sentence() -> None:
+    document = to_problem(FileExists(path="a", existing_sha256=None, given_sha256=None, existing_file_id="1"), "req-9")
+    cut = {key: value for key, value in document.model_dump(mode="json").items() if key != "path"}
+    back = from_problem(ProblemDocument.model_validate(cut))
+    assert isinstance(back, InternalError)
+    assert back.request_id == "req-9"
