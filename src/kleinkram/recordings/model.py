@@ -16,7 +16,6 @@ class RecordingFormat(str, Enum):
     rosbag2_metadata = "rosbag2-metadata"
     zstd = "zstd"
     ulog = "ulog"
-    svo = "svo"
     tum = "tum"
     kitti = "kitti"
     yaml = "yaml"

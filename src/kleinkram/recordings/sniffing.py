@@ -34,7 +34,6 @@ _BINARY = frozenset(
         RecordingFormat.rosbag2_db3,
         RecordingFormat.zstd,
         RecordingFormat.ulog,
-        RecordingFormat.svo,
     )
 )
 _TEXT_EXTENSIONS = frozenset((".yaml", ".yml", ".csv", ".tum", ".txt", ".json"))
@@ -45,8 +44,7 @@ _CLAIMS = {
     ".zstd": {RecordingFormat.zstd},
     ".zst": {RecordingFormat.zstd},
     ".ulg": {RecordingFormat.ulog},
-    ".svo": {RecordingFormat.svo, RecordingFormat.mcap},
-    ".svo2": {RecordingFormat.mcap, RecordingFormat.svo},
+    ".svo2": {RecordingFormat.mcap},
 }
 _YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)""")
 _TUM_COLUMNS, _KITTI_COLUMNS = 8, 12

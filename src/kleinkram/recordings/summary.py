@@ -16,7 +16,6 @@ _NOT_READ = {
     RecordingFormat.rosbag1_old: "a ROS bag 1.x: convert it with 'rosbag migrate'",
     RecordingFormat.rosbag2_metadata: "the metadata of a rosbag2 recording, not a recording by itself",
     RecordingFormat.ulog: "a PX4 ULog, whose content is not read",
-    RecordingFormat.svo: "a ZED recording, whose content is not read",
     RecordingFormat.tum: "a trajectory (TUM), not a recording",
     RecordingFormat.kitti: "a trajectory (KITTI), not a recording",
     RecordingFormat.yaml: "YAML, not a recording",

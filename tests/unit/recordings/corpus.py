@@ -1,0 +1,44 @@
+"""The real recordings and what independent readers say of them (`manifest.json`)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import pytest
+
+from tests.conftest import RECORDINGS
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One file of the manifest."""
+
+    name: str
+    broken: str | None
+    expected: dict[str, Any]
+
+    @property
+    def format(self) -> str:
+        return str(self.expected.get("format", ""))
+
+
+@cache
+def entries() -> tuple[Entry, ...]:
+    """All files of the manifest; none where the recordings are missing."""
+    path = RECORDINGS / "manifest.json"
+    if not path.is_file():
+        return ()
+    return tuple(
+        Entry(item["file"], item.get("broken"), item.get("expected") or {})
+        for item in json.loads(path.read_text())["files"]
+    )
+
+
+def params(*formats: str, broken: bool = False) -> list[Any]:
+    """Test parameters: the files of some formats, whole or broken; without recordings, one that will be skipped."""
+    found = [e for e in entries() if e.format in formats and (e.broken is not None) == broken]
+    missing = Entry("recordings are missing", None, {})
+    return [pytest.param(entry, id=entry.name) for entry in found or [missing]]

@@ -1,0 +1,131 @@
+"""Counts, gaps, disorder and suspect stamps, against the plainest code that can say them."""
+
+from __future__ import annotations
+
+from array import array
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kleinkram.recordings import timeline as timeline_module
+from kleinkram.recordings.assemble import Measured, TopicType, measure
+from kleinkram.recordings.packed import smallest_to_come
+from kleinkram.recordings.timeline import YEAR_NS, ChunkEntries, Timeline
+
+NO_TYPE = [TopicType("", "", "")]
+T0 = 1_700_000_000_000_000_000
+
+
+def measured(chunks: list[list[int]], *, watermarks: bool = True) -> Measured:
+    """Feed chunks of one topic as a reader of an index does."""
+    timeline = Timeline()
+    starts = array("Q", [min(chunk) for chunk in chunks])
+    for chunk, before_ns in zip(chunks, smallest_to_come(starts), strict=True):
+        offsets = [number * 100 for number in range(len(chunk))]
+        timeline.add_chunk([ChunkEntries("/t", chunk, offsets)], uncompressed_bytes=len(chunk) * 100, stored_bytes=10)
+        timeline.settle(before_ns if watermarks else 0)
+    timeline.settle(None)
+    return measure(timeline, {"/t": NO_TYPE})
+
+
+def plain_gap(stamps: list[int]) -> int:
+    ordered = sorted(stamps)
+    return max((b - a for a, b in zip(ordered, ordered[1:], strict=False)), default=0)
+
+
+def plain_disorder(stamps: list[int]) -> int:
+    return sum(1 for i, stamp in enumerate(stamps) if stamp < max(stamps[:i], default=0))
+
+
+CHUNKS = st.lists(st.lists(st.integers(T0, T0 + 10_000), min_size=1, max_size=8), min_size=1, max_size=8)
+
+
+@given(CHUNKS, st.booleans())
+@settings(max_examples=200, deadline=None)
+def test_any_order_of_messages_is_exact(chunks: list[list[int]], watermarks: bool) -> None:
+    stamps = [stamp for chunk in chunks for stamp in chunk]
+    found = measured(chunks, watermarks=watermarks)
+    (topic,) = found.topics
+    assert topic.count == found.message_count == len(stamps)
+    assert (topic.first_ns, topic.last_ns) == (found.start_ns, found.end_ns) == (min(stamps), max(stamps))
+    assert topic.longest_gap_ns == (plain_gap(stamps) if len(stamps) > 1 else None)
+    assert topic.out_of_order_count == plain_disorder(stamps)
+    assert found.problems == ()
+
+
+@given(CHUNKS)
+@settings(max_examples=100, deadline=None)
+def test_with_little_memory_a_gap_is_never_too_small(chunks: list[list[int]]) -> None:
+    stamps = [stamp for chunk in chunks for stamp in chunk]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timeline_module, "MAX_PENDING_STAMPS", 3)
+        found = measured(chunks, watermarks=False)
+    (topic,) = found.topics
+    truth = plain_gap(stamps) if len(stamps) > 1 else None
+    assert (topic.count, topic.first_ns, topic.last_ns) == (len(stamps), min(stamps), max(stamps))
+    assert topic.out_of_order_count == plain_disorder(stamps)
+    if topic.longest_gap_ns != truth:
+        assert truth is not None
+        assert topic.longest_gap_ns is not None
+        assert topic.longest_gap_ns > truth
+        assert [problem.code for problem in found.problems] == ["gaps-upper-bound"]
+
+
+def test_memory_stays_small_for_a_long_recording() -> None:
+    timeline = Timeline()
+    for chunk in range(2_000):
+        start = T0 + chunk * 1_000
+        timeline.add("/t", range(start, start + 1_000), 0)
+        timeline.settle(start + 1_000)
+    times = timeline.topics["/t"]
+    assert times.count == 2_000_000
+    assert len(times.pending) == 0
+    assert len(times.runs) == 1
+
+
+def test_stamps_of_1970_are_suspect() -> None:
+    found = measured([[5, 6], [T0, T0 + 10, T0 + 30]])
+    (topic,) = found.topics
+    assert (found.start_ns, found.end_ns) == (T0, T0 + 30)
+    assert (topic.count, topic.suspect_count, topic.longest_gap_ns) == (5, 2, 20)
+    assert topic.rate_hz == pytest.approx(2 / 30e-9)
+    assert [(problem.code, problem.where) for problem in found.problems] == [("suspect-stamps", "/t")]
+
+
+def test_a_jump_into_the_future_does_not_stretch_the_span() -> None:
+    future = T0 + 20 * YEAR_NS
+    found = measured([[T0, T0 + 10, future, T0 + 20]])
+    assert (found.start_ns, found.end_ns) == (T0, T0 + 20)
+    assert found.topics[0].longest_gap_ns == 10
+    assert found.topics[0].out_of_order_count == 1
+
+
+def test_small_stamps_alone_are_not_suspect() -> None:
+    found = measured([[2, 3]])
+    assert (found.start_ns, found.end_ns, found.problems) == (2, 3, ())
+
+
+def test_two_topics_share_a_recordings_span() -> None:
+    timeline = Timeline()
+    timeline.add("/a", [T0, T0 + 100], 0)
+    timeline.add("/b", [T0 + 30, T0 + 60], 0)
+    timeline.settle(None)
+    found = measure(timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
+    b = found.topics[1]
+    assert (b.head_gap_ns, b.tail_gap_ns, b.longest_gap_ns) == (30, 40, 30)
+
+
+def test_offsets_give_the_order_of_the_file() -> None:
+    timeline = Timeline()
+    timeline.add_chunk([ChunkEntries("/t", [1, 2, 3], [200, 100, 0])], uncompressed_bytes=300, stored_bytes=300)
+    timeline.settle(None)
+    assert timeline.topics["/t"].out_of_order == 2
+
+
+def test_stored_bytes_are_shared_by_uncompressed_size() -> None:
+    timeline = Timeline()
+    entries = [ChunkEntries("/small", [1, 2], [0, 400]), ChunkEntries("/large", [1], [100])]
+    timeline.add_chunk(entries, uncompressed_bytes=500, stored_bytes=50)
+    assert timeline.topics["/small"].stored_bytes == 20
+    assert timeline.topics["/large"].stored_bytes == 30
