@@ -30,6 +30,7 @@ from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_line, 
 from kleinkram.standalone.plan import Plan, UpOptions, make_plan
 
 _START_TIMEOUT_S = 120.0
+_STORE_PATIENCE_S = 10.0
 _LOGS_EVERY_S = 5.0
 _WATCHED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD}
 
@@ -84,7 +85,7 @@ class Supervisor:
         self._wait(lambda: postgres.is_ready(plan.postgres, database.child), database)
         postgres.prepare_database(plan.postgres)
         self._migrate()
-        self._wait(lambda: s3.proves_ready(plan.store.access, store.BUCKET), self.parts["store"])
+        self._wait_for_store()
         if gateway := plan.gateway:
             self._launch("gateway", lambda: store.start_gateway(plan.store, gateway), stop_signal=store.STOP_SIGNAL)
         self._launch("api", lambda: child.spawn(plan.server_process("api", *plan.api_arguments())))
@@ -136,6 +137,21 @@ class Supervisor:
                     f"see {running.part.log}; its last line: {last_line(running.part.log)}"
                 )
             _pause(0.02)
+
+    def _wait_for_store(self) -> None:
+        """Wait until bytes come back. A store that listens but takes none for long is started anew, which is safe:
+        where its volume server misses the master's election it would be seconds before it asks again.
+        """
+        running, access = self.parts["store"], self.plan.store.access
+        deadline = time.monotonic() + _STORE_PATIENCE_S
+        self._wait(lambda: s3.proves_ready(access, store.BUCKET) or time.monotonic() > deadline, running)
+        if not s3.proves_ready(access, store.BUCKET):
+            _say(
+                f"the store has taken no bytes for {_STORE_PATIENCE_S:.0f} s: starting it anew; log: {running.part.log}"
+            )
+            child.stop(running.child, sign=signal.SIGKILL, timeout_s=10)
+            running = self.parts["store"] = launch(running.part)
+            self._wait(lambda: s3.proves_ready(access, store.BUCKET), running)
 
     def _migrate(self) -> None:
         command = self.plan.server_process("migrate")
