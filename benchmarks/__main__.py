@@ -12,11 +12,12 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 
 from benchmarks.index_bytes import index_bytes
-from benchmarks.measure import Pairing, pair, run_side
+from benchmarks.measure import Pairing, Run, pair, run_side
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -70,9 +71,9 @@ def instance() -> Iterator[dict[str, str]]:
         process.wait(timeout=60)
 
 
-def told() -> dict[str, object]:
+def told() -> dict[str, Any]:
     """Return what the instance says of itself."""
-    facts: dict[str, object] = json.loads((DATA / "instance.json").read_text())
+    facts: dict[str, Any] = json.loads((DATA / "instance.json").read_text())
     return facts
 
 
@@ -106,7 +107,7 @@ def upload_row(environment: dict[str, str]) -> dict[str, object]:
     source = random_file(STAGE / "large" / "large.bin", GB)
     number = 0
 
-    def ours() -> object:
+    def ours() -> Run:
         nonlocal number
         number += 1
         os.truncate(source, GB + number)
@@ -115,10 +116,10 @@ def upload_row(environment: dict[str, str]) -> dict[str, object]:
         settle()
         return run
 
-    def raw() -> object:
+    def raw() -> Run:
         return run_side("upload_raw", str(source), environment=environment)
 
-    pairing = pair(ours, raw)  # type: ignore[arg-type]  # both return Run
+    pairing = pair(ours, raw)
     cpu, peak = pairing.median(lambda run: run.cpu_s), pairing.median(lambda run: run.peak_mb)
     return ratio_row("1 GB up, hashed and proven by the store", pairing, 0.9) | {
         "client_cpu_s_per_gb": cpu,
@@ -132,12 +133,12 @@ def download_row(environment: dict[str, str]) -> dict[str, object]:
     """1 GB down."""
     destination = STAGE / "down"
 
-    def side(name: str) -> object:
+    def side(name: str) -> Run:
         shutil.rmtree(destination, ignore_errors=True)
         destination.mkdir()
-        return run_side(name, "bench", "up-1", str(destination), environment=environment)
+        return run_side(name, "up-1", str(destination), environment=environment)
 
-    pairing = pair(lambda: side("download_ours"), lambda: side("download_raw"))  # type: ignore[arg-type,return-value]
+    pairing = pair(lambda: side("download_ours"), lambda: side("download_raw"))
     cpu = pairing.median(lambda run: run.cpu_s)
     return ratio_row("1 GB down, verified", pairing, 0.7) | {"also": f"client {cpu:.2f} CPU s/GB"}
 
@@ -155,17 +156,17 @@ def small_files_row(environment: dict[str, str]) -> dict[str, object]:
         klein("mission", "create", f"small-{number}", "-p", "bench")
         return folder
 
-    def ours() -> object:
+    def ours() -> Run:
         folder = fresh()
         run = run_side("upload_ours", "bench", folder.name, str(folder), environment=environment)
         settle()
         return run
 
-    def raw() -> object:
+    def raw() -> Run:
         folder = fresh()
         return run_side("upload_raw", *sorted(map(str, folder.iterdir())), environment=environment)
 
-    pairing = pair(ours, raw)  # type: ignore[arg-type]  # both return Run
+    pairing = pair(ours, raw)
     return ratio_row("500 files of 1 MB up", pairing, 0.6)
 
 
@@ -195,7 +196,7 @@ def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
     settle()
     rows = []
     for path in sorted(folder.iterdir()):
-        runs = [run_side("summary_remote", "bench", "summaries", path.name, environment=environment) for _ in range(6)]
+        runs = [run_side("summary_remote", "summaries", path.name, environment=environment) for _ in range(6)]
         seconds, read = statistics.median(run.seconds for run in runs), runs[0].facts["bytes_read"]
         allowed = index_bytes(path) + 1_000_000
         rows.append(
@@ -213,7 +214,7 @@ def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
 
 def memory_row() -> dict[str, object]:
     """Memory of everything, after all the traffic above."""
-    supervisor = psutil.Process(int(str(told()["pid"])))
+    supervisor = psutil.Process(told()["pid"])
     by_part: dict[str, float] = {}
     for process in [supervisor, *supervisor.children(recursive=True)]:
         name = process.name()

@@ -11,24 +11,27 @@ import resource
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import urllib3
 from awscrt.checksums import crc64nvme
 
-from kleinkram.client import Client, connect
+from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
+from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import PartTarget, Signed, Storage, open_storage
 
+T = TypeVar("T")
 _READ_BYTES = 8 * 1024 * 1024
 
 
@@ -39,7 +42,7 @@ def upload_ours(project: str, mission: str, *paths: str) -> dict[str, float]:
         started = time.perf_counter()
         report = upload(client, mission_id, plan_upload(paths))
         seconds = time.perf_counter() - started
-    _refuse_failure(report.failed)
+    _refuse_failure(report.failures)
     return {"seconds": seconds}
 
 
@@ -65,7 +68,7 @@ class _RawFile:
 
 def upload_raw(*paths: str) -> dict[str, float]:
     """Send the same parts with the same checksums to addresses that are signed already."""
-    files = [Path(path) for path in paths]
+    files = [(Path(path), Path(path).stat().st_size) for path in paths]
     prepared = asyncio.run(_with_storage(lambda storage: _prepare(storage, files)))
     pool = urllib3.PoolManager(maxsize=CONNECTIONS, blocksize=1024 * 1024)
 
@@ -84,12 +87,12 @@ def upload_raw(*paths: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started}
 
 
-async def _prepare(storage: Storage, files: list[Path]) -> list[_RawFile]:
-    return [await _prepare_one(storage, path) for path in files]
+async def _prepare(storage: Storage, files: list[tuple[Path, int]]) -> list[_RawFile]:
+    return [await _prepare_one(storage, path, size_bytes) for path, size_bytes in files]
 
 
-async def _prepare_one(storage: Storage, path: Path) -> _RawFile:
-    size_bytes, key = os.stat(path).st_size, f"raw/{uuid.uuid4()}"
+async def _prepare_one(storage: Storage, path: Path, size_bytes: int) -> _RawFile:
+    key = f"raw/{uuid.uuid4()}"
     part_bytes = part_size_bytes(size_bytes)
     multipart_id = await storage.begin_multipart(key) if size_bytes > part_bytes else None
     parts, whole = [], 0
@@ -108,31 +111,31 @@ async def _join(storage: Storage, files: list[_RawFile]) -> None:
             await storage.complete_multipart(each.key, each.multipart_id, crc64nvme=each.crc64nvme)
 
 
-async def _with_storage(work: Callable[[Storage], object]) -> object:
+async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:
     async with open_storage(Settings(), ChecksumKind.crc64nvme) as storage:
-        return await work(storage)  # type: ignore[misc]  # each work above is a coroutine function
+        return await work(storage)
 
 
-def download_ours(project: str, mission: str, destination: str) -> dict[str, float]:
+def download_ours(mission: str, destination: str) -> dict[str, float]:
     """Download through the SDK, verified by SHA-256."""
     with connect() as client:
-        files = _files(client, project, mission)
+        files = list(client.files.list(FileFilter(mission=mission)))
         started = time.perf_counter()
         report = download(client, plan_download(files, Path(destination)))
         seconds = time.perf_counter() - started
-    _refuse_failure(report.failed)
+    _refuse_failure(report.failures)
     return {"seconds": seconds}
 
 
-def _files(client: Client, project: str, mission: str) -> list[object]:
-    return list(client.files.list(project=project, mission=mission))
-
-
-def download_raw(project: str, mission: str, destination: str) -> dict[str, float]:
-    """Fetch the same ranges with the same concurrency into a file, without looking at a byte."""
+def _link(mission: str, path: str) -> DownloadLink:
     with connect() as client:
-        read = next(iter(client.files.list(project=project, mission=mission)))
-        url = client.files.links([read.id])[0].url
+        read = next(client.files.list(FileFilter(mission=mission, path=[path])))
+        return client.files.links([read.id]).items[0]
+
+
+def download_raw(mission: str, destination: str) -> dict[str, float]:
+    """Fetch the same ranges with the same concurrency into a file, without looking at a byte."""
+    link = _link(mission, "*")
     pool = urllib3.PoolManager(maxsize=CONNECTIONS)
     started = time.perf_counter()
     with ExitStack() as stack:
@@ -140,8 +143,8 @@ def download_raw(project: str, mission: str, destination: str) -> dict[str, floa
         stack.callback(os.close, out)
 
         def fetch(offset: int) -> None:
-            end = min(offset + _READ_BYTES, read.size_bytes) - 1
-            answer = pool.request("GET", url, headers={"Range": f"bytes={offset}-{end}"}, preload_content=False)
+            end = min(offset + _READ_BYTES, link.size_bytes) - 1
+            answer = pool.request("GET", link.url, headers={"Range": f"bytes={offset}-{end}"}, preload_content=False)
             position = offset
             for piece in answer.stream(1024 * 1024):
                 position += os.pwrite(out, piece, position)
@@ -150,17 +153,15 @@ def download_raw(project: str, mission: str, destination: str) -> dict[str, floa
                 raise SystemExit("the store sent less than it said")
 
         with ThreadPoolExecutor(CONNECTIONS) as fetchers:
-            list(fetchers.map(fetch, range(0, read.size_bytes, _READ_BYTES)))
+            list(fetchers.map(fetch, range(0, link.size_bytes, _READ_BYTES)))
     return {"seconds": time.perf_counter() - started}
 
 
-def summary_remote(project: str, mission: str, path: str) -> dict[str, float]:
+def summary_remote(mission: str, path: str) -> dict[str, float]:
     """Summarise a stored recording through a presigned address."""
-    with connect() as client:
-        read = next(each for each in client.files.list(project=project, mission=mission) if each.path == path)
-        url = client.files.links([read.id])[0].url
+    link = _link(mission, path)
     started = time.perf_counter()
-    source = CountingSource(HttpSource(url, size_bytes=read.size_bytes, name=path))
+    source = CountingSource(HttpSource(link.url, size_bytes=link.size_bytes, name=path))
     summary = summarise(source)
     seconds = time.perf_counter() - started
     return {"seconds": seconds, "bytes_read": source.bytes_read, "messages": summary.message_count or 0}
