@@ -16,7 +16,6 @@ from kleinkram.client._retry import Backoff
 from kleinkram.client.config import Endpoint
 from kleinkram.client.errors import (
     AnswerNotUnderstood,
-    InvalidInput,
     ServerUnreachable,
     StoreUnreachable,
     remember_request,
@@ -30,21 +29,6 @@ READ_TIMEOUT_S = 60.0
 PATIENCE_S = 8.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
-
-
-def checked(kind: type[T], what: str, **fields: object) -> T:
-    """Return a request model of these fields.
-
-    Raises:
-        InvalidInput: they are not what the model takes; says which and why.
-    """
-    try:
-        return kind.model_validate(fields)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = " ".join(str(part) for part in first["loc"])
-        reason = first["msg"].removeprefix("Value error, ")
-        raise InvalidInput(what=f"{what} ({where})" if where else what, reason=reason) from None
 
 
 def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:

@@ -3,10 +3,11 @@
 import uuid
 from collections.abc import Iterator
 
-from kleinkram.client._http import Api, checked, query_of
-from kleinkram.client._names import the_one
+from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import count, pages
+from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
+from kleinkram.client.references import the_one
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.trash import Deleted

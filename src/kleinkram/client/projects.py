@@ -3,9 +3,10 @@
 import uuid
 from collections.abc import Iterator
 
-from kleinkram.client._http import Api, checked, query_of
-from kleinkram.client._names import the_one
+from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import count, pages
+from kleinkram.client.checking import checked
+from kleinkram.client.references import the_one
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate

@@ -4,8 +4,8 @@ import uuid
 from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._names import the_one
 from kleinkram.client._paging import pages
+from kleinkram.client.references import the_one
 from kleinkram.contract.names import is_id
 from kleinkram.contract.trash import TrashNoun, TrashRead
 

@@ -1,0 +1,81 @@
+"""`klein download`"""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.errors import Interrupted, exit_code_of
+from kleinkram.cli.filters import Choice, Many, select_files, with_choice
+from kleinkram.cli.options import AsJson, Connections, DryRun, LimitRate
+from kleinkram.cli.render import note, show_json, table
+from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
+from kleinkram.cli.units import parse_rate, size
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.client.transfer import DownloadPlan, plan_download
+from kleinkram.client.transfer.download import CONNECTIONS
+from kleinkram.client.transfer.download import download as download_files
+
+
+@with_choice
+def download(
+    choice: Choice,
+    filters: Annotated[
+        Many, typer.Argument(metavar="[FILTERS]...", help="Paths, globs or ids of files.", show_default=False)
+    ] = None,
+    dest: Annotated[Path, typer.Option("--dest", metavar="D", help="Folder to write into.")] = Path(),
+    nested: Annotated[bool, typer.Option("--nested", help="Write to PROJECT/MISSION/PATH below it.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that differ.")] = False,
+    limit_rate: LimitRate = None,
+    connections: Connections = CONNECTIONS,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Download files, each verified before it gets its name. The same command again resumes."""
+    bytes_per_s = parse_rate(limit_rate)
+    if choice.is_empty() and not filters:
+        raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
+    with connect() as client:
+        plan = plan_download(select_files(client, choice, filters or []), dest, nested=nested)
+        say_left_out(plan.left_out)
+        if not plan.targets and not plan.left_out:
+            raise NothingToDo(reason="No file matches")
+        if dry_run:
+            _show_plan(plan, as_json)
+            return
+        from kleinkram.cli.progress import watching
+
+        began_at = time.monotonic()
+        try:
+            with watching() as watcher:
+                report = download_files(
+                    client,
+                    plan,
+                    overwrite=overwrite,
+                    connections=connections,
+                    bytes_per_s=bytes_per_s,
+                    watcher=watcher,
+                )
+        except KeyboardInterrupt:
+            raise Interrupted from None
+    elapsed_s = time.monotonic() - began_at
+    if as_json:
+        show_json({"elapsed_s": elapsed_s, **plain_report(report)})
+    say_summary(report, elapsed_s)
+    if code := exit_code_of([*report.failures, *report.left_out]):
+        raise typer.Exit(code)
+
+
+def _show_plan(plan: DownloadPlan, as_json: bool) -> None:
+    if as_json:
+        items = [
+            {"path": target.file.path, "local": str(target.local), "size_bytes": target.file.size_bytes}
+            for target in plan.targets
+        ]
+        show_json({"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]})
+        return
+    rows = [(target.file.path, size(target.file.size_bytes), str(target.local)) for target in plan.targets]
+    table(["path", "size", "to"], rows)
+    note(f"Would download {len(plan.targets)} files, {size(plan.size_bytes)}.")

@@ -1,0 +1,124 @@
+"""From failure to exit code: the one table. Scripts rely on these numbers; add, never change."""
+
+import enum
+from collections.abc import Iterable
+
+from kleinkram.cli.render import escape, note
+from kleinkram.client import errors as local
+from kleinkram.client.errors import request_id_of
+from kleinkram.contract import errors as remote
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.recordings.errors import RecordingError
+
+
+class ExitCode(enum.IntEnum):
+    """What went wrong, for scripts."""
+
+    server_failed = 1
+    usage = 2
+    not_found = 3
+    not_allowed = 4
+    conflict = 5
+    metadata = 6
+    unreachable = 7
+    local_file = 8
+    bytes_differ = 9
+    several = 10
+    destination = 11
+    timed_out = 12
+    interrupted = 130
+
+
+class Interrupted(local.ClientError):
+    """Stopped. Run the same command again to go on from here."""
+
+
+class Refused(local.ClientError):
+    """Not done: it was not confirmed. Give --yes to do it without being asked."""
+
+
+EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
+    remote.NotAuthenticated: ExitCode.not_allowed,
+    remote.Forbidden: ExitCode.not_allowed,
+    remote.NotFound: ExitCode.not_found,
+    remote.AmbiguousName: ExitCode.conflict,
+    remote.NameTaken: ExitCode.conflict,
+    remote.InvalidRequest: ExitCode.usage,
+    remote.InvalidQuery: ExitCode.usage,
+    remote.InvalidCursor: ExitCode.usage,
+    remote.YamlInvalid: ExitCode.metadata,
+    remote.FieldsInvalid: ExitCode.metadata,
+    remote.MetadataInvalid: ExitCode.metadata,
+    remote.BodyTooLarge: ExitCode.usage,
+    remote.FileExists: ExitCode.conflict,
+    remote.PathConflict: ExitCode.conflict,
+    remote.NameLeased: ExitCode.conflict,
+    remote.UploadGone: ExitCode.not_found,
+    remote.UploadIncomplete: ExitCode.bytes_differ,
+    remote.ChecksumMismatch: ExitCode.bytes_differ,
+    remote.FileUnavailable: ExitCode.bytes_differ,
+    remote.MethodNotAllowed: ExitCode.server_failed,
+    remote.StoreUnavailable: ExitCode.unreachable,
+    remote.DatabaseUnavailable: ExitCode.unreachable,
+    remote.InternalError: ExitCode.server_failed,
+    local.NotConfigured: ExitCode.usage,
+    local.ConfigurationBroken: ExitCode.usage,
+    local.NoSuchEndpoint: ExitCode.not_found,
+    local.ServerUnreachable: ExitCode.unreachable,
+    local.StoreUnreachable: ExitCode.unreachable,
+    local.AnswerNotUnderstood: ExitCode.server_failed,
+    local.TransferFailed: ExitCode.unreachable,
+    local.FileChanged: ExitCode.local_file,
+    local.StillRecording: ExitCode.local_file,
+    local.NotAFile: ExitCode.local_file,
+    local.FileUnreadable: ExitCode.local_file,
+    local.NameUnusable: ExitCode.local_file,
+    local.PathsCollide: ExitCode.conflict,
+    local.NothingToDo: ExitCode.not_found,
+    local.UploadElsewhere: ExitCode.conflict,
+    local.DestinationRefused: ExitCode.destination,
+    local.DestinationDiffers: ExitCode.destination,
+    local.DiskFull: ExitCode.destination,
+    local.VerifyFailed: ExitCode.bytes_differ,
+    local.InvalidInput: ExitCode.usage,
+    local.TimedOut: ExitCode.timed_out,
+    Interrupted: ExitCode.interrupted,
+    Refused: ExitCode.usage,
+}
+
+# Left out as it should be: the rest was done, and the command did what it was asked to.
+HARMLESS = (local.StillRecording, local.NotAFile)
+
+
+def explain(error: Exception) -> int | None:
+    """Say a failure on stderr and return its exit code; None for one that has no name, which is a bug of ours."""
+    if isinstance(error, RecordingError | FileNotFoundError):
+        note(f"Error: {error}")
+        return ExitCode.local_file
+    if not isinstance(error, KleinkramError):
+        return None
+    for line in sentences(error):
+        note(f"Error: {line}")
+    if (request_id := request_id_of(error)) is not None and not isinstance(error, remote.InternalError):
+        note(f"Request id: {escape(request_id)}")
+    return EXIT_CODES[type(error)]
+
+
+def sentences(error: KleinkramError) -> list[str]:
+    """Return an error as lines: one sentence, and one line more for each of several problems."""
+    problems = getattr(error, "problems", None)
+    if problems is None:
+        return [escape(str(error))]
+    lines = [escape(type(error).__doc__ or "")]
+    for problem in problems:
+        place = f" (line {problem.line}, column {problem.column})" if problem.line is not None else ""
+        lines.append(f"  {escape(problem.field)}{place}: {escape(problem.message)}")
+    return lines
+
+
+def exit_code_of(failures: Iterable[KleinkramError]) -> int:
+    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none."""
+    codes = {EXIT_CODES[type(error)] for error in failures if not isinstance(error, HARMLESS)}
+    if not codes:
+        return 0
+    return codes.pop() if len(codes) == 1 else ExitCode.several

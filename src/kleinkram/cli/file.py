@@ -1,0 +1,160 @@
+"""`klein file …`"""
+
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_choice
+from kleinkram.cli.mission_view import show_topics
+from kleinkram.cli.options import AsJson, DryRun, Limit, MissionOption, ProjectOption, Yes, confirm
+from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
+from kleinkram.cli.units import instant, size, span
+from kleinkram.cli.upload import upload
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.contract.files import FileRead, FileSort
+
+app = typer.Typer(
+    help="Files: what a mission holds.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("create", help="Upload files: the same as `klein upload`.")(upload)
+
+FileArgument = Annotated[str, typer.Argument(metavar="FILE", help="Path or id.", show_default=False)]
+
+
+@app.command("list")
+@with_choice
+def list_(
+    choice: Choice,
+    paths: Annotated[Many, typer.Argument(metavar="[GLOB]...", show_default=False)] = None,
+    sort: Annotated[FileSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
+    limit: Limit = None,
+    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List files."""
+    with connect() as client:
+        matching = file_filter(client, choice, paths or [])
+        if count:
+            number = client.files.count(matching)
+            show_json({"total": number}) if as_json else line(str(number))
+            return
+        rows = [*client.files.list(matching, sort=sort, limit=limit)]
+    show_json_list(rows) if as_json else show_found(rows)
+
+
+@app.command("info")
+def info(
+    file: FileArgument, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
+) -> None:
+    """Show a file, its checksums and its topics."""
+    with connect() as client:
+        found = client.files.get(file, mission=mission, project=project)
+        topics = [*client.files.topics(found.id)]
+    if as_json:
+        show_json({"file": found, "topics": topics})
+        return
+    _show(found)
+    if topics:
+        line("")
+        show_topics(topics)
+
+
+@app.command("update")
+def update(
+    file: FileArgument,
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    label: Annotated[Many, typer.Option("--label", help="Its labels from now on; may be given several times.")] = None,
+    no_labels: Annotated[bool, typer.Option("--no-labels", help="Take all labels off.")] = False,
+    path: Annotated[str | None, typer.Option("--path", help="Its new path in the mission.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change a file's labels or path."""
+    if label is None and path is None and not no_labels:
+        raise InvalidInput(what="The command", reason="say what to change: --label, --no-labels or --path")
+    with connect() as client:
+        found = client.files.get(file, mission=mission, project=project)
+        if label is not None or no_labels:
+            found = client.files.update(found.id, labels=label or [])
+        if path is not None:
+            found = client.files.update(found.id, path=path)
+    show_json(found) if as_json else _show(found)
+
+
+@app.command("delete")
+def delete(
+    files: Annotated[list[str], typer.Argument(metavar="FILE...", help="Paths, globs or ids.", show_default=False)],
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Move files to the trash."""
+    with connect() as client:
+        found = select_files(client, Choice(project=project, mission=mission), files)
+        if not found:
+            raise NothingToDo(reason="No file matches")
+        total = sum(file.size_bytes for file in found)
+        if not dry_run:
+            show_found(found, to_stderr=True)
+            confirm(f"Move these {len(found)} files, {size(total)}, to the trash?", yes)
+            for file in found:
+                client.files.delete(file.id)
+    if as_json:
+        show_json({"files": len(found), "size_bytes": total, "dry_run": dry_run, "items": found})
+    elif dry_run:
+        show_found(found)
+    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {len(found)} files, {size(total)}")
+
+
+def show_found(files: list[FileRead], *, to_stderr: bool = False) -> None:
+    """Print files of any missions as a table."""
+    table(
+        ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"],
+        [
+            (
+                row.mission.project.name,
+                row.mission.name,
+                row.path,
+                size(row.size_bytes),
+                row.state.value,
+                row.content.value,
+                row.message_count,
+                instant(row.start_ns),
+                span(row.start_ns, row.end_ns),
+                row.id,
+            )
+            for row in files
+        ],
+        to_stderr=to_stderr,
+    )
+
+
+def _show(file: FileRead) -> None:
+    details(
+        [
+            ("file", file.path),
+            ("mission", f"{file.mission.project.name}/{file.mission.name}"),
+            ("id", file.id),
+            ("size", f"{size(file.size_bytes)} ({file.size_bytes} bytes)"),
+            ("bytes", file.state.value + (f": {file.state_reason}" if file.state_reason else "")),
+            ("content", file.content.value + (f": {file.content_reason}" if file.content_reason else "")),
+            ("format", file.format),
+            ("compression", file.compression),
+            ("messages", file.message_count),
+            ("start", instant(file.start_ns)),
+            ("span", span(file.start_ns, file.end_ns)),
+            ("sha256", file.sha256),
+            ("md5", file.md5),
+            ("crc64nvme", file.crc64nvme),
+            ("proven", file.proven_at),
+            ("labels", file.labels),
+            ("uploaded", f"{file.created_at:%Y-%m-%d %H:%M}Z by {file.uploaded_by.name} ({file.origin})"),
+            *((f"problem at {problem.where}", problem.message) for problem in file.problems),
+        ]
+    )

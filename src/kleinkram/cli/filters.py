@@ -1,0 +1,149 @@
+"""The options that say which files: the same on `search`, `stats`, `file list` and `download`."""
+
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from kleinkram.cli.options import MissionOption, ProjectOption
+from kleinkram.cli.units import parse_size, parse_time
+from kleinkram.client import Client
+from kleinkram.client.checking import checked
+from kleinkram.client.references import is_glob
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.files import FileFilter, FileRead
+from kleinkram.contract.missions import MissionFilter
+from kleinkram.contract.names import is_id, name_key
+
+Many = list[str] | None
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the filter options said, as they were given."""
+
+    project: ProjectOption = None
+    mission: MissionOption = None
+    text: Annotated[str | None, typer.Option("--text", help="Found in names, notes and metadata.")] = None
+    where: Annotated[
+        Many, typer.Option("--where", "-w", metavar="FIELD=VALUE", help="Metadata: robot=anymal, temperature>20.")
+    ] = None
+    topic: Annotated[Many, typer.Option("--topic", "-t", metavar="GLOB", help="Has such a topic.")] = None
+    message_type: Annotated[Many, typer.Option("--type", metavar="GLOB", help="Has such a message type.")] = None
+    file_format: Annotated[Many, typer.Option("--format", metavar="FORMAT", help="mcap, rosbag1, db3, …")] = None
+    label: Annotated[Many, typer.Option("--label", help="Has this label.")] = None
+    state: Annotated[Many, typer.Option("--state", help="Bytes: stored, proven, lost, corrupt.")] = None
+    content: Annotated[Many, typer.Option("--content", help="Content: pending, indexed, broken, opaque, …")] = None
+    after: Annotated[str | None, typer.Option("--after", metavar="TIME", help="Recorded after this time.")] = None
+    before: Annotated[str | None, typer.Option("--before", metavar="TIME", help="Recorded before this time.")] = None
+    min_size: Annotated[str | None, typer.Option("--min-size", metavar="SIZE", help="At least so large.")] = None
+    max_size: Annotated[str | None, typer.Option("--max-size", metavar="SIZE", help="At most so large.")] = None
+
+    def is_empty(self) -> bool:
+        """Say whether nothing was given."""
+        return all(value in (None, []) for value in vars(self).values())
+
+
+def with_choice(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the filter options; it gets them as `choice`."""
+    own = [parameter for name, parameter in inspect.signature(command).parameters.items() if name != "choice"]
+    shared = [*inspect.signature(Choice).parameters.values()]
+    names = {parameter.name for parameter in shared}
+
+    @functools.wraps(command)
+    def run(**given: Any) -> None:  # Any: Typer calls with what the options are
+        choice = Choice(**{name: value for name, value in given.items() if name in names})
+        command(choice=choice, **{name: value for name, value in given.items() if name not in names})
+
+    every = sorted([*own, *shared], key=lambda parameter: parameter.default is not inspect.Parameter.empty)
+    every = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in every]
+    run.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]  # how inspect lets itself be told
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in every}
+    del run.__wrapped__
+    return run
+
+
+def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> FileFilter:
+    """Return the filter that the options mean; a project or mission that is named, not a glob, must exist.
+
+    Raises:
+        NotFound, AmbiguousName: of a project or mission that was named.
+        InvalidInput: a value is not usable.
+    """
+    given: dict[str, object] = {
+        **_place(client, choice),
+        "text": choice.text,
+        "path": [*paths],
+        "where": choice.where,
+        "topic": choice.topic,
+        "message_type": choice.message_type,
+        "format": choice.file_format,
+        "label": choice.label,
+        "state": choice.state,
+        "content": choice.content,
+        "recorded_after": parse_time(choice.after),
+        "recorded_before": parse_time(choice.before),
+        "min_size_bytes": None if choice.min_size is None else parse_size(choice.min_size),
+        "max_size_bytes": None if choice.max_size is None else parse_size(choice.max_size),
+    }
+    return checked(FileFilter, "The filter", **{key: value for key, value in given.items() if value not in (None, [])})
+
+
+def mission_filter(client: Client, choice: Choice) -> MissionFilter:
+    """Return the filter on missions that the options mean; those about files are left aside.
+
+    Raises:
+        NotFound, AmbiguousName, InvalidInput: as in `file_filter`.
+    """
+    project = _project(client, choice)
+    given: dict[str, object] = {
+        **project,
+        "name": choice.mission,
+        "text": choice.text,
+        "where": choice.where,
+        "topic": choice.topic,
+        "message_type": choice.message_type,
+        "recorded_after": parse_time(choice.after),
+        "recorded_before": parse_time(choice.before),
+    }
+    return checked(
+        MissionFilter, "The filter", **{key: value for key, value in given.items() if value not in (None, [])}
+    )
+
+
+def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[FileRead]:
+    """Return the files that these ids, paths and globs mean, among those that the options choose.
+
+    Raises:
+        NotFound: an id or a path without wildcards means no file.
+    """
+    ids = [ref for ref in refs if is_id(ref)]
+    paths = [ref for ref in refs if not is_id(ref)]
+    found = [client.files.get(ref) for ref in ids]
+    if paths or not ids:
+        found += client.files.list(file_filter(client, choice, paths))
+    there = {name_key(file.path) for file in found}
+    for path in paths:
+        if not is_glob(path) and name_key(path) not in there:
+            raise NotFound(noun="file", ref=path)
+    return [*{file.id: file for file in found}.values()]
+
+
+def _project(client: Client, choice: Choice) -> dict[str, object]:
+    if choice.project is None:
+        return {}
+    if is_glob(choice.project):
+        return {"project": choice.project}
+    return {"project_id": client.projects.get(choice.project).id}
+
+
+def _place(client: Client, choice: Choice) -> dict[str, object]:
+    if choice.mission is None or is_glob(choice.mission):
+        mission = {} if choice.mission is None else {"mission": choice.mission}
+        return {**_project(client, choice), **mission}
+    if choice.project is not None and is_glob(choice.project):
+        return {"project": choice.project, "mission": choice.mission}
+    return {"mission_id": client.missions.get(choice.mission, project=choice.project).id}

@@ -1,0 +1,107 @@
+"""The entry of `klein`: which commands there are, loaded when one is called, and what a failure becomes.
+
+`klein --help` must stay fast, so nothing here imports the SDK, pydantic or rich.
+"""
+
+import importlib
+import sys
+from typing import Annotated, Any
+
+import typer
+import typer.core
+import typer.main
+
+# name -> (module, attribute, the line in `klein --help`)
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    "up": ("kleinkram.cli.up", "up", "Run Kleinkram on this machine."),
+    "down": ("kleinkram.cli.up", "down", "End the Kleinkram that runs on this machine."),
+    "doctor": ("kleinkram.cli.up", "doctor", "Say what is wrong, and how to mend it."),
+    "project": ("kleinkram.cli.project", "app", "Projects: create, list, info, update, delete."),
+    "mission": ("kleinkram.cli.mission", "app", "Missions: the same, and complete, template."),
+    "file": ("kleinkram.cli.file", "app", "Files: the same, and their topics."),
+    "upload": ("kleinkram.cli.upload", "upload", "Upload files and folders into a mission."),
+    "download": ("kleinkram.cli.download", "download", "Download files, verified."),
+    "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or prove those in the store."),
+    "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
+    "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
+    "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
+    "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
+    "trash": ("kleinkram.cli.trash", "app", "What was deleted: list, restore."),
+    "audit": ("kleinkram.cli.audit", "audit", "Who did what, when."),
+    "inspect": ("kleinkram.cli.inspect", "inspect", "Say what is in local recordings, without a server."),
+    "sample": ("kleinkram.cli.sample", "sample", "Make a sample mission of realistic recordings."),
+    "endpoint": ("kleinkram.cli.endpoint", "app", "Which server commands talk to."),
+}
+
+
+class LazyCommands(typer.core.TyperGroup):
+    """The group of all commands, each imported when it is called."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]  # the same class, re-exported
+        """Return the names in the order of the help."""
+        return [*COMMANDS]
+
+    def get_command(self, ctx: typer.Context, cmd_name: str) -> Any:  # type: ignore[override]  # as above
+        """Import a command; None where there is none of that name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, attribute, _ = COMMANDS[cmd_name]
+        return load(cmd_name, getattr(importlib.import_module(module), attribute))
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # as above
+        """Write the list of commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, _, line) in COMMANDS.items()])
+
+
+def load(name: str, target: Any) -> Any:
+    """Return what runs: of a group of commands, or of a function that is one."""
+    if isinstance(target, typer.Typer):
+        group = typer.main.get_command(target)
+        group.name = name
+        return group
+    single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    single.command(name)(target)
+    return typer.main.get_command(single)
+
+
+app = typer.Typer(
+    name="klein",
+    cls=LazyCommands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        import kleinkram
+
+        typer.echo(kleinkram.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def klein(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Keep every recording: upload a mission, know what is in it, find it, get it back intact."""
+
+
+def main() -> None:
+    """Run a command line; a failure is one sentence on stderr and its own exit code (`kleinkram.cli.errors`)."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a TextIOWrapper, unless replaced
+    try:
+        app()
+    except Exception as error:
+        from kleinkram.cli.errors import explain
+
+        exit_code = explain(error)
+        if exit_code is None:
+            raise
+        sys.exit(exit_code)

@@ -1,0 +1,176 @@
+"""`klein mission …`"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.filters import Many
+from kleinkram.cli.mission_view import show_contents, show_mission, show_missions
+from kleinkram.cli.options import (
+    AsJson,
+    DryRun,
+    Limit,
+    MissionOption,
+    ProjectOption,
+    Yes,
+    confirm,
+    read_text,
+    the_ref,
+)
+from kleinkram.cli.render import line, note, show_json, show_json_list
+from kleinkram.cli.units import size
+from kleinkram.client.checking import checked
+from kleinkram.client.errors import InvalidInput
+from kleinkram.client.references import is_glob
+from kleinkram.contract.missions import MissionFilter, MissionSort
+
+app = typer.Typer(
+    help="Missions: one outing of a robot, with the metadata that its project requires.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+NameArgument = Annotated[str | None, typer.Argument(metavar="MISSION", show_default=False)]
+MetadataOption = Annotated[
+    Path | None,
+    typer.Option("--metadata", metavar="mission.yaml", help="Its metadata; `klein mission template` writes a form."),
+]
+NotesOption = Annotated[str | None, typer.Option("--notes", help="Anything worth knowing.")]
+
+
+@app.command("create")
+def create(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    metadata: MetadataOption = None,
+    notes: NotesOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a mission; its metadata must satisfy the project's fields."""
+    text = read_text(metadata)
+    with connect() as client:
+        project_id = client.projects.get(the_ref("project", None, project)).id
+        made = client.missions.create(
+            the_ref("mission", name, mission), project_id=project_id, metadata_yaml=text, notes=notes or ""
+        )
+    show_json(made) if as_json else show_mission(made)
+
+
+@app.command("list")
+def list_(
+    name: Annotated[str | None, typer.Argument(metavar="[GLOB]", show_default=False)] = None,
+    project: ProjectOption = None,
+    text: Annotated[str | None, typer.Option("--text", help="Found in names, notes and metadata.")] = None,
+    where: Annotated[Many, typer.Option("--where", "-w", metavar="FIELD=VALUE", help="robot=anymal, t>20.")] = None,
+    topic: Annotated[Many, typer.Option("--topic", "-t", metavar="GLOB", help="Has such a topic.")] = None,
+    unsatisfied: Annotated[
+        bool, typer.Option("--unsatisfied", help="Only those whose metadata does not satisfy the project.")
+    ] = False,
+    sort: Annotated[MissionSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
+    limit: Limit = None,
+    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List missions."""
+    given: dict[str, object] = {"name": name, "text": text, "where": where, "topic": topic}
+    given["satisfied"] = False if unsatisfied else None
+    with connect() as client:
+        if project is not None and not is_glob(project):
+            given["project_id"] = client.projects.get(project).id
+        elif project is not None:
+            given["project"] = project
+        matching = checked(MissionFilter, "The filter", **{key: value for key, value in given.items() if value})
+        matching = matching.model_copy(update={"satisfied": False}) if unsatisfied else matching
+        if count:
+            number = client.missions.count(matching)
+            show_json({"total": number}) if as_json else line(str(number))
+            return
+        rows = [*client.missions.list(matching, sort=sort, limit=limit)]
+    if as_json:
+        show_json_list(rows)
+        return
+    show_missions(rows)
+
+
+@app.command("info")
+def info(
+    name: NameArgument = None, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
+) -> None:
+    """Show a mission: its metadata, recordings, files, and topics with counts, rates and gaps."""
+    with connect() as client:
+        found = client.missions.get(the_ref("mission", name, mission), project=project)
+        show_contents(client, found, as_json)
+
+
+@app.command("update")
+def update(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
+    metadata: MetadataOption = None,
+    notes: NotesOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change a mission's name, notes, or metadata (as a whole)."""
+    changes = {"name": new_name, "metadata_yaml": read_text(metadata), "notes": notes}
+    given = {key: value for key, value in changes.items() if value is not None}
+    if not given:
+        raise InvalidInput(what="The command", reason="say what to change: --name, --metadata or --notes")
+    with connect() as client:
+        found = client.missions.get(the_ref("mission", name, mission), project=project)
+        changed = client.missions.update(found.id, **given)
+    show_json(changed) if as_json else show_mission(changed)
+
+
+@app.command("complete")
+def complete(
+    name: NameArgument = None, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
+) -> None:
+    """Say that all of a mission has been uploaded."""
+    with connect() as client:
+        found = client.missions.get(the_ref("mission", name, mission), project=project)
+        changed = client.missions.complete(found.id)
+    show_json(changed) if as_json else show_mission(changed)
+
+
+@app.command("template")
+def template(
+    name: Annotated[str | None, typer.Argument(metavar="PROJECT", show_default=False)] = None,
+    project: ProjectOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print the metadata YAML to fill in for a project's next mission, prefilled from the last."""
+    with connect() as client:
+        found = client.projects.get(the_ref("project", name, project))
+        form = client.projects.template(found.id)
+    if as_json:
+        show_json(form)
+        return
+    if form.prefilled_from is not None:
+        note(f"Prefilled from {form.prefilled_from.name}.")
+    line(form.yaml.rstrip("\n"))
+
+
+@app.command("delete")
+def delete(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Move a mission, and its files, to the trash."""
+    with connect() as client:
+        found = client.missions.get(the_ref("mission", name, mission), project=project)
+        would = client.missions.delete(found.id, dry_run=True)
+        what = f"{found.project.name}/{found.name}: {would.files} files, {size(would.size_bytes)}"
+        if not dry_run:
+            confirm(f"Move to the trash {what}?", yes)
+            would = client.missions.delete(found.id)
+    show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")

@@ -1,0 +1,138 @@
+"""How a mission, its recordings and topics look."""
+
+from collections.abc import Iterable, Mapping
+
+from kleinkram.cli.render import details, line, show_json, table
+from kleinkram.cli.units import duration, instant, rate, size, span
+from kleinkram.client import Client
+from kleinkram.contract.files import FileFilter, FileRead, RecordingRead, TopicRead
+from kleinkram.contract.missions import MissionRead
+
+
+def show_mission(mission: MissionRead) -> None:
+    """Print a mission's own properties and metadata."""
+    details(
+        [
+            ("mission", mission.name),
+            ("project", mission.project.name),
+            ("id", mission.id),
+            ("created", f"{mission.created_at:%Y-%m-%d %H:%M}Z by {mission.created_by.name}"),
+            ("completed", mission.completed_at),
+            ("start", instant(mission.start_ns)),
+            ("span", span(mission.start_ns, mission.end_ns)),
+            ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
+            ("messages", mission.message_count),
+            ("not read yet", f"{mission.pending_file_count} files" if mission.pending_file_count else None),
+            ("notes", mission.notes),
+            *((f"  {name}", _value(value)) for name, value in mission.metadata.items()),
+            *((f"problem with {problem.field}", problem.message) for problem in mission.metadata_problems),
+        ]
+    )
+
+
+def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
+    """Print a mission with its recordings, files and topics."""
+    matching = FileFilter(mission_id=mission.id)
+    recordings = [*client.recordings.list(mission.id)]
+    files = [*client.files.list(matching)]
+    topics = [*client.files.find_topics(matching)]
+    if as_json:
+        show_json({"mission": mission, "recordings": recordings, "files": files, "topics": topics})
+        return
+    show_mission(mission)
+    if recordings:
+        line("\nRecordings")
+        show_recordings(recordings)
+    if files:
+        line("\nFiles")
+        show_files(files)
+    if topics:
+        line("\nTopics")
+        show_topics(topics, {str(file.id): file.path for file in files})
+
+
+def show_missions(missions: Iterable[MissionRead]) -> None:
+    """Print missions of any projects as a table."""
+    table(
+        ["project", "mission", "files", "size", "start", "span", "id"],
+        [
+            (
+                row.project.name,
+                row.name,
+                row.file_count,
+                size(row.size_bytes),
+                instant(row.start_ns),
+                span(row.start_ns, row.end_ns),
+                row.id,
+            )
+            for row in missions
+        ],
+    )
+
+
+def show_recordings(recordings: Iterable[RecordingRead]) -> None:
+    """Print recordings as a table, and what is odd about them below."""
+    rows = [*recordings]
+    table(
+        ["recording", "kind", "files", "messages", "start", "span", "size"],
+        [
+            (
+                row.name,
+                row.kind,
+                len(row.file_ids),
+                row.message_count,
+                instant(row.start_ns),
+                span(row.start_ns, row.end_ns),
+                size(row.size_bytes),
+            )
+            for row in rows
+        ],
+    )
+    odd = [
+        *((row.name, "missing", name) for row in rows for name in row.missing),
+        *((row.name, "surplus", name) for row in rows for name in row.surplus),
+        *((row.name, problem.where, problem.message) for row in rows for problem in row.problems),
+    ]
+    if odd:
+        line("")
+        table(["recording", "where", "problem"], odd)
+
+
+def show_files(files: Iterable[FileRead]) -> None:
+    """Print files of one mission as a table."""
+    table(
+        ["path", "size", "bytes", "content", "format", "messages", "start", "span", "id"],
+        [
+            (
+                row.path,
+                size(row.size_bytes),
+                row.state.value,
+                row.content.value,
+                row.format,
+                row.message_count,
+                instant(row.start_ns),
+                span(row.start_ns, row.end_ns),
+                row.id,
+            )
+            for row in files
+        ],
+    )
+
+
+def show_topics(topics: Iterable[TopicRead], paths: Mapping[str, str] | None = None) -> None:
+    """Print topics as a table; with the file each is in, where there are several."""
+    rows = [*topics]
+    several = paths is not None and len({row.file_id for row in rows}) > 1
+    headers = ["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"]
+    cells: list[list[object]] = []
+    for row in rows:
+        cell: list[object] = [row.name, row.message_type, row.count, rate(row.rate_hz)]
+        cell += [duration(row.longest_gap_ns), duration(row.head_gap_ns), duration(row.tail_gap_ns)]
+        cells.append([*cell, (paths or {}).get(str(row.file_id), str(row.file_id))] if several else cell)
+    table([*headers, "file"] if several else headers, cells)
+
+
+def _value(value: object) -> object:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {one}" for key, one in value.items() if one is not None)
+    return value

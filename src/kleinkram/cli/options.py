@@ -1,0 +1,69 @@
+"""Options that mean the same on every command."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram.cli.errors import Refused
+from kleinkram.client.errors import InvalidInput
+
+ProjectOption = Annotated[
+    str | None, typer.Option("--project", "-p", metavar="PROJECT", help="Name or id of the project.")
+]
+MissionOption = Annotated[
+    str | None, typer.Option("--mission", "-m", metavar="MISSION", help="Name or id of the mission.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+Limit = Annotated[int | None, typer.Option("--limit", metavar="N", min=1, help="At most so many.")]
+LimitRate = Annotated[
+    str | None, typer.Option("--limit-rate", metavar="RATE", help="At most so many bytes a second, such as 10M.")
+]
+Connections = Annotated[
+    int, typer.Option("--connections", metavar="N", min=1, max=32, help="Transfers at the same time.")
+]
+
+
+def the_ref(what: str, positional: str | None, option: str | None) -> str:
+    """Return the name or id that was given, as an argument or as an option.
+
+    Raises:
+        InvalidInput: neither or both were given.
+    """
+    if (positional is None) == (option is None):
+        raise InvalidInput(what="The command", reason=f"say which {what}, once")
+    return positional if positional is not None else option or ""
+
+
+def read_text(path: Path | None) -> str | None:
+    """Return what a file given on the command line says; None for none.
+
+    Raises:
+        InvalidInput: it cannot be read, or is not text.
+    """
+    if path is None:
+        return None
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidInput(what=f"The file {str(path)!r}", reason=error.strerror or str(error)) from None
+    except UnicodeDecodeError:
+        raise InvalidInput(what=f"The file {str(path)!r}", reason="it is not UTF-8 text") from None
+
+
+def confirm(question: str, yes: bool) -> None:
+    """Ask on the terminal unless `yes`.
+
+    Raises:
+        Refused: the answer was no, or there is nobody to ask.
+    """
+    if yes:
+        return
+    try:
+        agreed = typer.confirm(question, err=True)
+    except typer.Abort:
+        raise Refused from None
+    if not agreed:
+        raise Refused

@@ -1,0 +1,149 @@
+"""`klein project …`"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.options import AsJson, DryRun, Limit, ProjectOption, Yes, confirm, read_text, the_ref
+from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
+from kleinkram.cli.units import duration, size
+from kleinkram.contract.projects import ProjectRead, ProjectSort
+
+app = typer.Typer(
+    help="Projects: the top of project > mission > file.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+NameArgument = Annotated[str | None, typer.Argument(metavar="PROJECT", show_default=False)]
+DescriptionOption = Annotated[str | None, typer.Option("--description", "-d", help="What it is about.")]
+FieldsOption = Annotated[
+    Path | None,
+    typer.Option("--fields", metavar="fields.yaml", help="The metadata fields that each mission has, or must have."),
+]
+
+
+@app.command("create")
+def create(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    description: DescriptionOption = None,
+    fields: FieldsOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a project."""
+    with connect() as client:
+        made = client.projects.create(
+            the_ref("project", name, project), description=description or "", fields_yaml=read_text(fields)
+        )
+    _show(made, as_json)
+
+
+@app.command("list")
+def list_(
+    name: Annotated[str | None, typer.Argument(metavar="[GLOB]", show_default=False)] = None,
+    text: Annotated[str | None, typer.Option("--text", help="Found in names and descriptions.")] = None,
+    sort: Annotated[ProjectSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
+    limit: Limit = None,
+    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List projects."""
+    with connect() as client:
+        if count:
+            number = client.projects.count(name=name, text=text)
+            show_json({"total": number}) if as_json else line(str(number))
+            return
+        rows = [*client.projects.list(name=name, text=text, sort=sort, limit=limit)]
+    if as_json:
+        show_json_list(rows)
+        return
+    table(
+        ["name", "missions", "files", "size", "recorded", "id"],
+        [(row.name, row.mission_count, row.file_count, size(row.size_bytes), _hours(row), row.id) for row in rows],
+    )
+
+
+@app.command("info")
+def info(name: NameArgument = None, project: ProjectOption = None, as_json: AsJson = False) -> None:
+    """Show one project and the metadata fields it declares."""
+    with connect() as client:
+        found = client.projects.get(the_ref("project", name, project))
+    _show(found, as_json)
+
+
+@app.command("update")
+def update(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
+    description: DescriptionOption = None,
+    fields: FieldsOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change a project. Missions that do not satisfy new fields are reported, not broken."""
+    with connect() as client:
+        found = client.projects.get(the_ref("project", name, project))
+        changed = client.projects.update(
+            found.id, name=new_name, description=description, fields_yaml=read_text(fields)
+        )
+    _show(changed, as_json)
+    if changed.unsatisfied_mission_count:
+        note(
+            f"{changed.unsatisfied_mission_count} missions do not satisfy the fields: "
+            f"klein mission list -p {changed.id} --unsatisfied"
+        )
+
+
+@app.command("delete")
+def delete(
+    name: NameArgument = None,
+    project: ProjectOption = None,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Move a project, and all in it, to the trash."""
+    with connect() as client:
+        found = client.projects.get(the_ref("project", name, project))
+        would = client.projects.delete(found.id, dry_run=True)
+        what = f"{found.name}: {would.missions} missions, {would.files} files, {size(would.size_bytes)}"
+        if not dry_run:
+            confirm(f"Move to the trash {what}?", yes)
+            would = client.projects.delete(found.id)
+    show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
+
+
+def _show(project: ProjectRead, as_json: bool) -> None:
+    if as_json:
+        show_json(project)
+        return
+    details(
+        [
+            ("project", project.name),
+            ("id", project.id),
+            ("description", project.description),
+            ("created", f"{project.created_at:%Y-%m-%d %H:%M}Z by {project.created_by.name}"),
+            ("missions", project.mission_count),
+            ("files", f"{project.file_count}, {size(project.size_bytes)}"),
+            ("recorded", _hours(project)),
+            ("unsatisfied missions", project.unsatisfied_mission_count or None),
+            ("undeclared metadata", project.metadata_fields.undeclared.value),
+        ]
+    )
+    if project.metadata_fields.fields:
+        line("")
+        table(
+            ["field", "type", "required", "unit", "choices", "description"],
+            [
+                (field.name, field.type.value, field.required, field.unit, field.choices, field.description)
+                for field in project.metadata_fields.fields
+            ],
+        )
+
+
+def _hours(project: ProjectRead) -> str | None:
+    return duration(project.duration_ns) if project.duration_ns else None
