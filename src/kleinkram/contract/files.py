@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.names import FilePath, Label
+from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
 
 
@@ -140,6 +140,9 @@ class FileSort(str, enum.Enum):
     start_desc = "-start"
 
 
+SizeBytes = Annotated[int, Field(ge=0, le=2**63 - 1)]
+
+
 class FileFilter(BaseModel):
     """Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
 
@@ -149,24 +152,24 @@ class FileFilter(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    text: str | None = None
-    project: str | None = None
+    text: Term | None = None
+    project: Term | None = None
     project_id: uuid.UUID | None = None
-    mission: str | None = None
+    mission: Term | None = None
     mission_id: uuid.UUID | None = None
     recording_id: uuid.UUID | None = None
-    path: list[str] = []
-    where: list[str] = []
-    topic: list[str] = []
-    message_type: list[str] = []
-    format: list[str] = []
-    label: list[str] = []
+    path: Terms = []
+    where: Terms = []
+    topic: Terms = []
+    message_type: Terms = []
+    format: Terms = []
+    label: Terms = []
     state: list[BlobState] = []
     content: list[ContentState] = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
-    min_size_bytes: int | None = None
-    max_size_bytes: int | None = None
+    min_size_bytes: SizeBytes | None = None
+    max_size_bytes: SizeBytes | None = None
 
 
 class DownloadRequest(BaseModel):

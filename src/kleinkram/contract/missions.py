@@ -5,15 +5,15 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, Metadata
-from kleinkram.contract.names import Name
+from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 
-Notes = Annotated[str, Field(max_length=100_000)]
+Notes = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
 MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
@@ -105,13 +105,13 @@ class MissionFilter(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    text: str | None = None
-    project: str | None = None
+    text: Term | None = None
+    project: Term | None = None
     project_id: uuid.UUID | None = None
-    name: str | None = None
-    where: list[str] = []
-    topic: list[str] = []
-    message_type: list[str] = []
+    name: Term | None = None
+    where: Terms = []
+    topic: Terms = []
+    message_type: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
     completed: bool | None = None

@@ -14,6 +14,7 @@ MAX_NAME_CHARACTERS = 128
 MAX_PATH_CHARACTERS = 1024
 MAX_PATH_PART_BYTES = 255
 MAX_LABEL_CHARACTERS = 64
+MAX_TERM_CHARACTERS = 1024
 
 _BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 _UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}", re.IGNORECASE)
@@ -93,6 +94,18 @@ def check_label(label: str) -> str:
     return label
 
 
+def check_text(text: str) -> str:
+    """Return free text as it is, or say why it cannot be kept.
+
+    Raises:
+        ValueError: it holds NUL, or half of a character, which no database keeps.
+    """
+    for position, character in enumerate(text):
+        if character == "\x00" or "\ud800" <= character <= "\udfff":
+            raise ValueError(f"holds the character U+{ord(character):04X} at position {position}, which cannot be kept")
+    return text
+
+
 def is_id(reference: str) -> bool:
     """Say whether a reference given by a person is an id rather than a name."""
     return _UUID.fullmatch(reference) is not None
@@ -106,3 +119,6 @@ def file_name(path: str) -> str:
 Name = Annotated[str, AfterValidator(check_name), Field(min_length=1, max_length=MAX_NAME_CHARACTERS)]
 FilePath = Annotated[str, AfterValidator(check_file_path), Field(min_length=1, max_length=MAX_PATH_CHARACTERS)]
 Label = Annotated[str, AfterValidator(check_label), Field(min_length=1, max_length=MAX_LABEL_CHARACTERS)]
+# A word, glob or comparison to search by.
+Term = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_TERM_CHARACTERS)]
+Terms = Annotated[list[Term], Field(max_length=50)]

@@ -7,6 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 T = TypeVar("T")
 
 MAX_PAGE_SIZE = 500
+MAX_CURSOR_CHARACTERS = 32_768
+Cursor = Annotated[str, Field(max_length=MAX_CURSOR_CHARACTERS)]
 PageSize = Annotated[int, Field(ge=1, le=MAX_PAGE_SIZE)]
 
 

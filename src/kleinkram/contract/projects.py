@@ -5,13 +5,13 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
-from kleinkram.contract.names import Name
+from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
 
-Description = Annotated[str, Field(max_length=10_000)]
+Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 

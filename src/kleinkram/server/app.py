@@ -21,6 +21,7 @@ from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.probe import probe_checksum, record_probe
 from kleinkram.server.projects.routes import router as projects
+from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import open_storage
@@ -62,7 +63,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.queue = queue
     app.add_middleware(Envelope, body_limit_bytes=settings.body_limit_bytes)
     install_handlers(app)
-    for router in (probes, service, projects, missions, files, uploads, search, trash, audit):
+    for router in (probes, service, projects, missions, files, recordings, uploads, search, trash, audit):
         app.include_router(router)
     return app
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import BigInteger, ColumnElement, Row, Select, Update, and_, func, literal, or_, select, update
 
-from kleinkram.contract.files import FileFilter, FileProblem, FileRead, FileSort, TopicRead
+from kleinkram.contract.files import FileFilter, FileProblem, FileRead, FileSort
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import PersonRef
@@ -15,7 +15,8 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_files
-from kleinkram.server.tables import blob, file, mission, person, project, topic
+from kleinkram.server.search.topics import topic_rows
+from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 
@@ -123,21 +124,6 @@ def file_order(sort: FileSort) -> Order:
         "start": func.coalesce(blob.c.start_ns, unknown),
     }
     return Order([columns[key], file.c.id], descending)
-
-
-def topic_rows(stmt: Select[Any]) -> Select[Any]:
-    """Return the topics of the files of a select that began with `visible_files`, as `to_topic` reads them."""
-    columns = [column for column in topic.c if column.name not in {"id", "blob_id"}]
-    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
-    return narrowed.join(topic, topic.c.blob_id == blob.c.id)
-
-
-TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
-
-
-def to_topic(row: Row[Any]) -> TopicRead:
-    """Return the topic that a row of `topic_rows` stands for."""
-    return TopicRead.model_validate({name: row._mapping[name] for name in TopicRead.model_fields})
 
 
 def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:

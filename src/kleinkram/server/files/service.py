@@ -29,6 +29,7 @@ from kleinkram.server.files import queries
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.recordings.service import regroup
+from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
@@ -72,8 +73,8 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
         NotFound: the file is not there, or not for this actor.
     """
     await _row(db, actor, file_id)
-    rows = await fetch_page(db, queries.topics_of_file(actor, file_id), queries.TOPIC_ORDER, page)
-    return Page(items=[queries.to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
+    rows = await fetch_page(db, queries.topics_of_file(actor, file_id), TOPIC_ORDER, page)
+    return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
 async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, changes: FileUpdate) -> FileRead:

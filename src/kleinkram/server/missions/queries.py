@@ -25,7 +25,7 @@ from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_missions
 from kleinkram.server.tables import blob, file, mission, person, project
@@ -86,9 +86,25 @@ def to_mission_ref(row: Row[Any]) -> MissionRef:
 
 
 def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return one visible mission, with its project's name and fields."""
-    fields = (project.c.name.label("project_name"), project.c.metadata_fields)
-    return visible_missions(actor).add_columns(*fields).where(mission.c.id == mission_id)
+    """Return one visible mission, with its project's name."""
+    project_name = project.c.name.label("project_name")
+    return visible_missions(actor).add_columns(project_name).where(mission.c.id == mission_id)
+
+
+def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return one visible mission as `to_mission` reads it."""
+    return mission_rows(visible_missions(actor).where(mission.c.id == mission_id))
+
+
+def lock_mission(mission_id: uuid.UUID) -> Select[Any]:
+    """Return the select that holds others off changing a mission."""
+    return select(mission.c.id).where(mission.c.id == mission_id).with_for_update(key_share=True)
+
+
+def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return a visible project's metadata fields, locked so that they stay and the project is not deleted meanwhile."""
+    one = visible_projects(actor).with_only_columns(project.c.name, project.c.metadata_fields)
+    return one.where(project.c.id == project_id).with_for_update(read=True)
 
 
 def matching_missions(actor: Actor, matching: MissionFilter) -> Select[Any]:

@@ -1,18 +1,40 @@
 """What may be done with missions. A mission comes to be only with metadata that satisfies its project."""
 
+import asyncio
 import uuid
 from typing import Any
 
-from sqlalchemy import Row
+from sqlalchemy import Row, Update, func, insert
+from sqlalchemy.exc import IntegrityError
 
-from kleinkram.contract.errors import NotFound
+from kleinkram.contract.errors import NameTaken, NotFound
+from kleinkram.contract.metadata import Metadata, MetadataFields
+from kleinkram.contract.missions import (
+    MissionCreate,
+    MissionFilter,
+    MissionRead,
+    MissionRef,
+    MissionSort,
+    MissionUpdate,
+)
+from kleinkram.contract.names import name_key
+from kleinkram.contract.paging import Page
+from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.db import Connection
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import queries
+from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
+from kleinkram.server.missions.template import write_template
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.tables import mission
+from kleinkram.server.yaml_text import Document
+
+_JUDGED_AT_ONCE = 500
 
 
 async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Row[Any]:
-    """Return the row of a mission, with `project_name` and the project's `metadata_fields`.
+    """Return the row of a mission, with `project_name`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -21,3 +43,186 @@ async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     return row
+
+
+async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> MissionRead:
+    """Return one mission and what it amounts to.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = (await db.execute(queries.whole_mission(actor, mission_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="mission", ref=str(mission_id))
+    return queries.to_mission(row)
+
+
+async def list_missions(
+    db: Connection, actor: Actor, *, matching: MissionFilter, sort: MissionSort, page: PageRequest
+) -> Page[MissionRead]:
+    """Return a page of the missions that match.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+        InvalidCursor: the cursor is not of this list.
+    """
+    rows = await fetch_page(db, queries.matching_missions(actor, matching), queries.mission_order(sort), page)
+    return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID, wanted: MissionCreate) -> MissionRead:
+    """Make a mission and return it.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+        YamlInvalid: the metadata cannot be read.
+        MetadataInvalid: it does not satisfy the project; names every missing, wrong or unknown field.
+        NameTaken: the project has a mission of that name.
+    """
+    document = await asyncio.to_thread(read_metadata, wanted.metadata_yaml)
+    _, fields = await _project(db, actor, project_id)
+    mission_id = uuid.uuid4()
+    statement = insert(mission).values(
+        id=mission_id,
+        project_id=project_id,
+        name=wanted.name,
+        name_key=name_key(wanted.name),
+        metadata=satisfying(document, fields),
+        metadata_yaml=wanted.metadata_yaml,
+        notes=wanted.notes,
+        created_by_id=actor.person_id,
+    )
+    try:
+        await db.execute(statement)
+    except IntegrityError as error:
+        raise _name_taken(error, wanted.name) from error
+    made = await get_mission(db, actor, mission_id)
+    after: Metadata = {"name": made.name, "metadata": made.metadata}
+    await record(db, actor, Event("mission.create", "mission", mission_id, made.name, project_id, after=after))
+    return made
+
+
+async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID, changes: MissionUpdate) -> MissionRead:
+    """Change what is given and return the mission.
+
+    A mission that moves keeps its metadata; what of it does not satisfy the new project is reported, not refused.
+
+    Raises:
+        NotFound: the mission, or the project to move it to, is not there.
+        YamlInvalid: the metadata cannot be read.
+        MetadataInvalid: new metadata does not satisfy the project.
+        NameTaken: the project has a mission of that name.
+    """
+    document = None if changes.metadata_yaml is None else await asyncio.to_thread(read_metadata, changes.metadata_yaml)
+    await get_mission_row(db, actor, mission_id)
+    await db.execute(queries.lock_mission(mission_id))
+    old = await get_mission(db, actor, mission_id)
+    values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
+    if not values:
+        return old
+    await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
+    new = await get_mission(db, actor, mission_id)
+    differing = [name for name in _AUDITED if _said(old, name) != _said(new, name)]
+    before, after = ({name: _said(each, name) for name in differing} for each in (old, new))
+    await record(db, actor, Event("mission.update", "mission", mission_id, new.name, new.project.id, before, after))
+    return new
+
+
+async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID, dry_run: bool) -> Deleted:
+    """Move a mission and its files to the trash; its name is free at once. As a dry run, only say what would go.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await get_mission_row(db, actor, mission_id)
+    files, size_bytes = (await db.execute(queries.contents(actor, mission_id))).one()
+    if not dry_run:
+        await db.execute(queries.change_mission(mission_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
+        before: Metadata = {"name": row.name, "project": row.project_name}
+        await record(db, actor, Event("mission.delete", "mission", mission_id, row.name, row.project_id, before))
+    return Deleted(missions=1, files=files, size_bytes=int(size_bytes), dry_run=dry_run)
+
+
+async def rejudge_missions(db: Connection, project_id: uuid.UUID, fields: MetadataFields) -> None:
+    """Note for every mission of a project what no longer satisfies its fields; nothing else of them changes.
+
+    Holds some hundred missions in memory at a time.
+    """
+    judge = Judge(fields)
+    after: uuid.UUID | None = None
+    while True:
+        statement = queries.metadata_of_project(project_id, after=after, limit=_JUDGED_AT_ONCE)
+        rows = (await db.execute(statement)).all()
+        judged = [(row, _problems(judge, row.metadata)) for row in rows]
+        changed = [{"ref": row.id, "problems": found} for row, found in judged if found != row.metadata_problems]
+        if changed:
+            await db.execute(queries.set_problems(), changed)
+        if len(rows) < _JUDGED_AT_ONCE:
+            return
+        after = rows[-1].id
+
+
+async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> tuple[str, MissionRef | None]:
+    """Return the metadata YAML to fill in for a project's next mission, and the mission it is prefilled from.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+    """
+    name, fields = await _project(db, actor, project_id)
+    last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
+    text = write_template(fields, project=name, last=(last.name, last.metadata) if last else None)
+    return text, queries.to_mission_ref(last) if last else None
+
+
+_AUDITED = ("name", "project", "metadata", "notes", "completed_at")
+
+
+def _said(seen: MissionRead, name: str) -> Any:  # Any: whatever JSON the record keeps of an attribute
+    return seen.project.name if name == "project" else seen.model_dump(mode="json", include={name})[name]
+
+
+def _problems(judge: Judge, metadata: dict[str, Any]) -> list[dict[str, Any]]:
+    return [problem.model_dump(exclude_none=True) for problem in judge.judge(Document(metadata)).problems]
+
+
+def _simple_changes(old: MissionRead, changes: MissionUpdate) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    if changes.name is not None and changes.name != old.name:
+        values |= {"name": changes.name, "name_key": name_key(changes.name)}
+    if changes.notes is not None and changes.notes != old.notes:
+        values["notes"] = changes.notes
+    if changes.completed is not None and changes.completed != (old.completed_at is not None):
+        values["completed_at"] = func.now() if changes.completed else None
+    return values
+
+
+async def _judged_changes(
+    db: Connection, actor: Actor, old: MissionRead, *, changes: MissionUpdate, document: Document | None
+) -> dict[str, Any]:
+    project_id = changes.project_id or old.project.id
+    if document is None and project_id == old.project.id:
+        return {}
+    _, fields = await _project(db, actor, project_id)
+    values: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
+    if document is None:
+        return values | {"metadata_problems": _problems(Judge(fields), old.metadata)}
+    metadata = satisfying(document, fields)
+    return values | {"metadata": metadata, "metadata_yaml": changes.metadata_yaml, "metadata_problems": []}
+
+
+async def _project(db: Connection, actor: Actor, project_id: uuid.UUID) -> tuple[str, MetadataFields]:
+    row = (await db.execute(queries.fields_of_project(actor, project_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="project", ref=str(project_id))
+    return row.name, MetadataFields.model_validate(row.metadata_fields)
+
+
+async def _change(db: Connection, statement: Update, *, name: str) -> None:
+    try:
+        await db.execute(statement)
+    except IntegrityError as error:
+        raise _name_taken(error, name) from error
+
+
+def _name_taken(error: IntegrityError, name: str) -> Exception:
+    return NameTaken(noun="mission", name=name) if violated_constraint(error) == "uq_mission_name_key_live" else error

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from typing import Any
+from unicodedata import normalize
 
 from sqlalchemy import ColumnElement, Select, Text, and_, exists, func, or_, select
 
@@ -58,7 +59,7 @@ def narrow_files(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
     if matching.path:
         conditions.append(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path]))
     if matching.label:
-        conditions.append(file.c.labels.overlap(matching.label))
+        conditions.append(file.c.labels.overlap([normalize("NFC", label) for label in matching.label]))
     conditions += [condition(expression) for expression in matching.where]
     conditions += _words(matching.text, _file_holds)
     if matching.topic or matching.message_type:

@@ -1,0 +1,83 @@
+"""Files over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from kleinkram.contract.files import (
+    DownloadLinks,
+    DownloadRequest,
+    FileFilter,
+    FileRead,
+    FileSort,
+    FileUpdate,
+    TopicRead,
+)
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.trash import Deleted
+from kleinkram.server.access.actor import CurrentActor
+from kleinkram.server.db import Transaction
+from kleinkram.server.files import service
+from kleinkram.server.pages import PageRequest
+from kleinkram.server.site import CurrentSite
+
+router = APIRouter(prefix="/api/v1", tags=["files"])
+
+
+class FileListQuery(FileFilter):
+    """The query of a list of files."""
+
+    sort: FileSort = FileSort.path
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+    count: bool = False
+
+
+@router.get("/files", operation_id="list_files")
+async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[FileRead]:
+    """List the files that match."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await service.list_files(db, actor, matching=query, sort=query.sort, page=page)
+
+
+@router.post("/files/download", operation_id="download_files")
+async def download_files(wanted: DownloadRequest, site: CurrentSite, actor: CurrentActor) -> DownloadLinks:
+    """Return where to read the bytes of files; who asked is noted."""
+    return DownloadLinks(items=await service.link_files(site, actor, file_ids=wanted.file_ids))
+
+
+@router.get("/files/{file_id}", operation_id="get_file")
+async def get_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
+    """Return one file."""
+    return await service.get_file(db, actor, file_id)
+
+
+@router.patch("/files/{file_id}", operation_id="update_file")
+async def update_file(file_id: uuid.UUID, changes: FileUpdate, db: Transaction, actor: CurrentActor) -> FileRead:
+    """Rename, move or label a file; what is left out stays."""
+    return await service.update_file(db, actor, file_id=file_id, changes=changes)
+
+
+@router.delete("/files/{file_id}", operation_id="delete_file")
+async def delete_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor, dry_run: bool = False) -> Deleted:
+    """Move a file to the trash."""
+    return await service.delete_file(db, actor, file_id=file_id, dry_run=dry_run)
+
+
+@router.get("/files/{file_id}/topics", operation_id="list_file_topics")
+async def list_file_topics(
+    file_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: PageSize = 100,
+    cursor: Cursor | None = None,
+) -> Page[TopicRead]:
+    """List the topics of one file, by name."""
+    return await service.list_topics(db, actor, file_id=file_id, page=PageRequest(limit, cursor))
+
+
+@router.post("/files/{file_id}/prove", operation_id="prove_file", status_code=202)
+async def prove_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
+    """Have a file's bytes read again; its state and time of proof tell when that is done."""
+    return await service.prove_file(db, actor, file_id=file_id)

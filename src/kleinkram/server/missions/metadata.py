@@ -1,0 +1,291 @@
+"""Judging metadata: whether what a mission says of itself satisfies the fields that its project declares.
+
+Pure. All that is wrong is found at once. What is accepted comes back in the form in which it is stored: numbers
+without their unit, times in UTC, absent fields filled from their defaults.
+"""
+
+import difflib
+import math
+import re
+import unicodedata
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import HttpUrl, JsonValue, StringConstraints, TypeAdapter, ValidationError
+
+from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
+from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
+from kleinkram.server.dates import iso_text
+from kleinkram.server.yaml_text import Document, Path, read_yaml
+
+_WITH_UNIT = re.compile(r"([-+]?(?:\d{1,300}(?:\.\d{0,300})?|\.\d{1,300})(?:[eE][-+]?\d{1,3})?)\s*([^\s\d.].*)")
+_URL: TypeAdapter[HttpUrl] = TypeAdapter(HttpUrl)
+_KINDS: dict[type, str] = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
+_MAX_INT = 2**63 - 1
+
+
+class Wrong(ValueError):
+    """A value does not fit its field; the text says why. `path` leads to the part of the value that is meant."""
+
+    def __init__(self, message: str, path: Path = ()) -> None:
+        super().__init__(message)
+        self.path = path
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is stored of a mission's metadata, and what is wrong with it."""
+
+    metadata: Metadata
+    problems: list[FieldProblem]
+
+
+class Judge:
+    """The fields of one project, made ready to judge many missions."""
+
+    def __init__(self, fields: MetadataFields) -> None:
+        """Compile the patterns.
+
+        Raises:
+            pydantic_core.SchemaError: a pattern is not a regular expression.
+        """
+        self._fields = {field.name: field for field in fields.fields}
+        self._folded = {name.casefold(): name for name in self._fields}
+        self._undeclared = fields.undeclared
+        self._accept = {field.name: _acceptor(field) for field in fields.fields}
+
+    def judge(self, document: Document) -> Judgement:
+        """Return what to store of a document whose value is a mapping, and every problem in it, by place."""
+        given = document.value if isinstance(document.value, dict) else {}
+        metadata: Metadata = {}
+        problems: list[FieldProblem] = []
+        for key, value in given.items():
+            if problem := self._keep(metadata, key, value, document):
+                problems.append(problem)
+        problems.sort(key=lambda problem: (problem.line or 0, problem.column or 0))
+        self._complete(given, metadata, problems)
+        return Judgement(metadata, problems)
+
+    def accept(self, name: str, value: JsonValue) -> JsonValue:
+        """Return a value of a declared field as it is stored.
+
+        Raises:
+            Wrong: it does not fit the field.
+        """
+        return self._accept[name](value)
+
+    def accept_default(self, field: MetadataField) -> JsonValue:
+        """Return a field's default as it is stored.
+
+        Raises:
+            Wrong: it does not fit the field.
+        """
+        default: JsonValue = field.model_dump(mode="json", exclude_none=True).get("default")
+        return None if default is None else self._accept[field.name](default)
+
+    def _keep(self, metadata: Metadata, key: str, value: JsonValue, document: Document) -> FieldProblem | None:
+        try:
+            accepted = self._accepted(key, value)
+        except Wrong as wrong:
+            path = (key, *wrong.path)
+            place = document.place(path)
+            where = {"line": place.line, "column": place.column} if place else {}
+            return FieldProblem(field=".".join(map(str, path)), message=str(wrong), **where)
+        if accepted is not None or key not in self._fields:
+            metadata[key] = accepted
+        return None
+
+    def _accepted(self, key: str, value: JsonValue) -> JsonValue:
+        if key in self._fields:
+            return None if value is None or value == "" else self._accept[key](value)
+        if spelled := self._folded.get(key.casefold()):
+            raise Wrong(f"is spelled {spelled!r} in this project")
+        if self._undeclared is Undeclared.refuse:
+            near = difflib.get_close_matches(key, self._fields, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise Wrong(f"is not a field of this project{hint}")
+        return _finite(value, ())
+
+    def _complete(self, given: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
+        for name, field in self._fields.items():
+            if given.get(name) not in (None, ""):
+                continue
+            default = self.accept_default(field)
+            if default is not None:
+                metadata[name] = default
+            elif field.required:
+                how = "is required but empty" if name in given else "is required but missing"
+                problems.append(FieldProblem(field=name, message=f"{how}; it takes {describe(field)}"))
+
+
+def read_metadata(text: str | None) -> Document:
+    """Return what a metadata document says; without one, or with an empty one, nothing.
+
+    Raises:
+        YamlInvalid: it cannot be read, or is not a mapping of fields.
+    """
+    document = read_yaml(text or "")
+    if document.value is None:
+        return Document({})
+    if not isinstance(document.value, dict):
+        reason = f"the document is {_kind(document.value)}; it must say FIELD: VALUE, one a line"
+        raise YamlInvalid(line=1, column=1, reason=reason)
+    return document
+
+
+def satisfying(document: Document, fields: MetadataFields) -> Metadata:
+    """Return what to store of a document that satisfies a project's fields.
+
+    Raises:
+        MetadataInvalid: it does not; names everything missing, wrong or unknown.
+    """
+    judgement = Judge(fields).judge(document)
+    if judgement.problems:
+        raise MetadataInvalid(problems=judgement.problems)
+    return judgement.metadata
+
+
+def describe(field: MetadataField) -> str:
+    """Return in words what a field takes."""
+    if field.type is FieldType.number:
+        return f"a number in {field.unit}" if field.unit else "a number"
+    if field.type is FieldType.choice:
+        return f"one of: {', '.join(field.choices or [])}"
+    if field.type is FieldType.string and field.pattern is not None:
+        return f"text that matches {field.pattern}"
+    return {
+        FieldType.string: "text",
+        FieldType.boolean: "true or false",
+        FieldType.date: "a date like 2024-05-31, or with time like 2024-05-31T14:00Z",
+        FieldType.location: "a place's name, or {latitude: DEGREES, longitude: DEGREES}",
+        FieldType.link: "an address that begins with http:// or https://",
+    }[field.type]
+
+
+Acceptor = Callable[[JsonValue], JsonValue]
+
+
+def _acceptor(field: MetadataField) -> Acceptor:
+    """Return the function that gives a value in its stored form, or raises Wrong."""
+    if field.type is FieldType.string:
+        return _string(field.pattern)
+    if field.type is FieldType.number:
+        return lambda value: _number(value, field.unit)
+    if field.type is FieldType.choice:
+        return lambda value: _choice(value, field.choices or [])
+    simple: dict[FieldType, Acceptor] = {
+        FieldType.boolean: _boolean,
+        FieldType.date: _date,
+        FieldType.location: _location,
+        FieldType.link: _link,
+    }
+    return simple[field.type]
+
+
+def _kind(value: JsonValue) -> str:
+    return "empty" if value is None else _KINDS.get(type(value), "a mapping")
+
+
+def _text(value: JsonValue, wanted: str) -> str:
+    if isinstance(value, str):
+        return value
+    hint = "; put it in quotes" if isinstance(value, bool | int | float) else ""
+    raise Wrong(f"is {_kind(value)}, but {wanted} is wanted{hint}")
+
+
+def _string(pattern: str | None) -> Acceptor:
+    if pattern is None:
+        return lambda value: _text(value, "text")
+    # Rust's engine, linear in time. First by itself, so that no pattern can break out of the group around it.
+    TypeAdapter(Annotated[str, StringConstraints(pattern=pattern)])
+    whole: TypeAdapter[str] = TypeAdapter(Annotated[str, StringConstraints(pattern=rf"\A(?:{pattern})\z")])
+
+    def accept(value: JsonValue) -> JsonValue:
+        text = _text(value, "text")
+        try:
+            return whole.validate_python(text)
+        except ValidationError:
+            raise Wrong(f"is {text!r}, which does not match the pattern {pattern}") from None
+
+    return accept
+
+
+def _number(value: JsonValue, unit: str | None) -> JsonValue:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise Wrong(f"is {_kind(value)}, but a number is wanted")
+    if not isinstance(value, str):
+        return _finite(value, ())
+    found = _WITH_UNIT.fullmatch(value.strip())
+    if found is None:
+        raise Wrong(f"is the text {value!r}, but a number is wanted")
+    given = unicodedata.normalize("NFC", found[2].strip())
+    if unit is None:
+        raise Wrong(f"is given in {given!r}, but this field has no unit")
+    if given != unicodedata.normalize("NFC", unit):
+        raise Wrong(f"is given in {given!r}, but this field is in {unit!r}")
+    number = found[1]
+    return _finite(int(number) if number.lstrip("+-").isdigit() else float(number), ())
+
+
+def _boolean(value: JsonValue) -> JsonValue:
+    if not isinstance(value, bool):
+        shown = f"the text {value!r}" if isinstance(value, str) else _kind(value)
+        raise Wrong(f"is {shown}; write true or false")
+    return value
+
+
+def _choice(value: JsonValue, choices: list[str]) -> JsonValue:
+    text = _text(value, f"one of {', '.join(choices)}")
+    if text not in choices:
+        near = difflib.get_close_matches(text, choices, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise Wrong(f"is {text!r}, which is none of: {', '.join(choices)}{hint}")
+    return text
+
+
+def _date(value: JsonValue) -> JsonValue:
+    stored = iso_text(value.strip()) if isinstance(value, str) else None
+    if stored is None:
+        shown = repr(value) if isinstance(value, str) else _kind(value)
+        raise Wrong(f"is {shown}; write a date like 2024-05-31, or with time like 2024-05-31T14:00Z")
+    return stored
+
+
+def _location(value: JsonValue) -> JsonValue:
+    if isinstance(value, str):
+        return value
+    if not isinstance(value, dict):
+        raise Wrong(f"is {_kind(value)}; write a place's name, or latitude and longitude in degrees")
+    _finite(value, ())
+    try:
+        place = Location.model_validate(value, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise Wrong(str(first["msg"]), tuple(first["loc"])) from None
+    stored: JsonValue = place.model_dump(mode="json", exclude_none=True)
+    return stored
+
+
+def _link(value: JsonValue) -> JsonValue:
+    text = _text(value, "an address")
+    try:
+        _URL.validate_python(text)
+    except ValidationError as error:
+        raise Wrong(f"is not an address: {error.errors()[0]['msg']}") from None
+    return text
+
+
+def _finite(value: JsonValue, path: Path) -> JsonValue:
+    """Return a value that JSON can hold, whatever it is made of."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise Wrong("is not a finite number", path)
+    if isinstance(value, int) and abs(value) > _MAX_INT:
+        raise Wrong("is too large a number to be kept", path)
+    if isinstance(value, list):
+        for index, item in enumerate(value):
+            _finite(item, (*path, index))
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _finite(item, (*path, key))
+    return value

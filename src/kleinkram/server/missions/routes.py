@@ -1,0 +1,62 @@
+"""Missions over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.trash import Deleted
+from kleinkram.server.access.actor import CurrentActor
+from kleinkram.server.db import Transaction
+from kleinkram.server.missions import service
+from kleinkram.server.pages import PageRequest
+
+router = APIRouter(prefix="/api/v1", tags=["missions"])
+
+
+class MissionListQuery(MissionFilter):
+    """The query of a list of missions."""
+
+    sort: MissionSort = MissionSort.name
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+    count: bool = False
+
+
+@router.post("/projects/{project_id}/missions", operation_id="create_mission", status_code=201)
+async def create_mission(
+    project_id: uuid.UUID, wanted: MissionCreate, db: Transaction, actor: CurrentActor
+) -> MissionRead:
+    """Make a mission; its metadata must satisfy the project's fields."""
+    return await service.create_mission(db, actor, project_id=project_id, wanted=wanted)
+
+
+@router.get("/missions", operation_id="list_missions")
+async def list_missions(
+    query: Annotated[MissionListQuery, Query()], db: Transaction, actor: CurrentActor
+) -> Page[MissionRead]:
+    """List the missions that match."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await service.list_missions(db, actor, matching=query, sort=query.sort, page=page)
+
+
+@router.get("/missions/{mission_id}", operation_id="get_mission")
+async def get_mission(mission_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> MissionRead:
+    """Return one mission."""
+    return await service.get_mission(db, actor, mission_id)
+
+
+@router.patch("/missions/{mission_id}", operation_id="update_mission")
+async def update_mission(
+    mission_id: uuid.UUID, changes: MissionUpdate, db: Transaction, actor: CurrentActor
+) -> MissionRead:
+    """Rename, move, complete or describe a mission; what is left out stays."""
+    return await service.update_mission(db, actor, mission_id=mission_id, changes=changes)
+
+
+@router.delete("/missions/{mission_id}", operation_id="delete_mission")
+async def delete_mission(mission_id: uuid.UUID, db: Transaction, actor: CurrentActor, dry_run: bool = False) -> Deleted:
+    """Move a mission and its files to the trash."""
+    return await service.delete_mission(db, actor, mission_id=mission_id, dry_run=dry_run)

@@ -1,0 +1,95 @@
+"""What is asked of projects. Functions return selects; they touch no connection."""
+
+import uuid
+from typing import Any
+
+from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, Update, func, select, type_coerce, update
+from sqlalchemy.dialects.postgresql import array
+
+from kleinkram.contract.metadata import MetadataFields
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRead, ProjectSort
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_projects
+from kleinkram.server.pages import Order
+from kleinkram.server.search.matching import narrow_projects
+from kleinkram.server.tables import blob, file, mission, person, project, recording
+
+
+def _amounts(*numbers: ColumnElement[Any]) -> Select[Any]:
+    # Several numbers from one look at the rows; `int` of each where it is read, since sums are numeric.
+    return (
+        select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
+        .where(mission.c.project_id == project.c.id, mission.c.deleted_at.is_(None))
+        .correlate(project)
+    )
+
+
+def _mission_amounts() -> ColumnElement[Any]:
+    unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
+    return _amounts(func.count(), unsatisfied).select_from(mission).scalar_subquery().label("missions")
+
+
+def _file_amounts() -> ColumnElement[Any]:
+    stmt = _amounts(func.count(), func.sum(blob.c.size_bytes)).where(file.c.deleted_at.is_(None))
+    joined = stmt.join_from(mission, file, file.c.mission_id == mission.c.id).join(blob, blob.c.id == file.c.blob_id)
+    return joined.scalar_subquery().label("files")
+
+
+def _duration() -> ColumnElement[Any]:
+    stmt = _amounts(func.sum(recording.c.end_ns - recording.c.start_ns))
+    joined = stmt.join_from(mission, recording, recording.c.mission_id == mission.c.id)
+    return joined.scalar_subquery().label("recordings")
+
+
+def project_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the rows that `to_project` reads, of a select that began with `visible_projects`."""
+    name = person.c.name.label("created_by_name")
+    extra = stmt.add_columns(name, _mission_amounts(), _file_amounts(), _duration())
+    return extra.join(person, person.c.id == project.c.created_by_id)
+
+
+def to_project(row: Row[Any]) -> ProjectRead:
+    """Return the project that a row of `project_rows` stands for."""
+    mission_count, unsatisfied = (int(number) for number in row.missions)
+    file_count, size_bytes = (int(number) for number in row.files)
+    return ProjectRead(
+        id=row.id,
+        name=row.name,
+        description=row.description,
+        metadata_fields=MetadataFields.model_validate(row.metadata_fields),
+        created_at=row.created_at,
+        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+        mission_count=mission_count,
+        file_count=file_count,
+        size_bytes=size_bytes,
+        duration_ns=int(row.recordings[0]),
+        unsatisfied_mission_count=unsatisfied,
+    )
+
+
+def project_by_id(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return one visible project."""
+    return project_rows(visible_projects(actor).where(project.c.id == project_id))
+
+
+def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return the select that holds others off changing a visible project, or making missions in it."""
+    stmt = visible_projects(actor).with_only_columns(project.c.id).where(project.c.id == project_id)
+    return stmt.with_for_update()
+
+
+def matching_projects(actor: Actor, *, name: str | None, text: str | None) -> Select[Any]:
+    """Return the visible projects that match."""
+    return project_rows(narrow_projects(visible_projects(actor), name=name, text=text))
+
+
+def project_order(sort: ProjectSort) -> Order:
+    """Return a list's order."""
+    column = project.c.name if sort.value.endswith("name") else project.c.created_at
+    return Order([column, project.c.id], sort.value.startswith("-"))
+
+
+def change_project(project_id: uuid.UUID, **values: object) -> Update:
+    """Return the statement that changes one project."""
+    return update(project).where(project.c.id == project_id).values(**values)

@@ -1,0 +1,73 @@
+"""Projects over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict
+
+from kleinkram.contract.missions import MissionTemplate
+from kleinkram.contract.names import Term
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
+from kleinkram.contract.trash import Deleted
+from kleinkram.server.access.actor import CurrentActor
+from kleinkram.server.db import Transaction
+from kleinkram.server.pages import PageRequest
+from kleinkram.server.projects import service
+
+router = APIRouter(prefix="/api/v1/projects", tags=["projects"])
+
+
+class ProjectListQuery(BaseModel):
+    """The query of a list of projects. `name` may be a glob; `text` is found in names and descriptions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Term | None = None
+    text: Term | None = None
+    sort: ProjectSort = ProjectSort.name
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+    count: bool = False
+
+
+@router.get("", operation_id="list_projects")
+async def list_projects(
+    query: Annotated[ProjectListQuery, Query()], db: Transaction, actor: CurrentActor
+) -> Page[ProjectRead]:
+    """List the projects that match."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await service.list_projects(db, actor, name=query.name, text=query.text, sort=query.sort, page=page)
+
+
+@router.post("", operation_id="create_project", status_code=201)
+async def create_project(wanted: ProjectCreate, db: Transaction, actor: CurrentActor) -> ProjectRead:
+    """Make a project."""
+    return await service.create_project(db, actor, wanted=wanted)
+
+
+@router.get("/{project_id}", operation_id="get_project")
+async def get_project(project_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> ProjectRead:
+    """Return one project."""
+    return await service.get_project(db, actor, project_id)
+
+
+@router.patch("/{project_id}", operation_id="update_project")
+async def update_project(
+    project_id: uuid.UUID, changes: ProjectUpdate, db: Transaction, actor: CurrentActor
+) -> ProjectRead:
+    """Rename or describe a project, or change its metadata fields; what is left out stays."""
+    return await service.update_project(db, actor, project_id=project_id, changes=changes)
+
+
+@router.delete("/{project_id}", operation_id="delete_project")
+async def delete_project(project_id: uuid.UUID, db: Transaction, actor: CurrentActor, dry_run: bool = False) -> Deleted:
+    """Move a project and all in it to the trash."""
+    return await service.delete_project(db, actor, project_id=project_id, dry_run=dry_run)
+
+
+@router.get("/{project_id}/template", operation_id="get_mission_template")
+async def get_mission_template(project_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> MissionTemplate:
+    """Return the metadata YAML to fill in for the project's next mission."""
+    return await service.get_template(db, actor, project_id)

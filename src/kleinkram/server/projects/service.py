@@ -1,0 +1,146 @@
+"""What may be done with projects."""
+
+import asyncio
+import uuid
+from typing import Any
+
+from sqlalchemy import func, insert
+from sqlalchemy.exc import IntegrityError
+
+from kleinkram.contract.errors import NameTaken, NotFound
+from kleinkram.contract.metadata import Metadata, MetadataFields
+from kleinkram.contract.missions import MissionTemplate
+from kleinkram.contract.names import name_key
+from kleinkram.contract.paging import Page
+from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
+from kleinkram.contract.trash import Deleted
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.missions import service as missions
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.projects import queries
+from kleinkram.server.projects.fields import read_fields
+from kleinkram.server.tables import project
+
+
+async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> ProjectRead:
+    """Return one project and what it amounts to.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = (await db.execute(queries.project_by_id(actor, project_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="project", ref=str(project_id))
+    return queries.to_project(row)
+
+
+async def list_projects(
+    db: Connection, actor: Actor, *, name: str | None, text: str | None, sort: ProjectSort, page: PageRequest
+) -> Page[ProjectRead]:
+    """Return a page of the projects that match.
+
+    Raises:
+        InvalidCursor: the cursor is not of this list.
+    """
+    statement = queries.matching_projects(actor, name=name, text=text)
+    rows = await fetch_page(db, statement, queries.project_order(sort), page)
+    return Page(items=[queries.to_project(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate) -> ProjectRead:
+    """Make a project and return it.
+
+    Raises:
+        YamlInvalid: the field definitions cannot be read.
+        FieldsInvalid: they are not usable; names every problem.
+        NameTaken: there is a project of that name.
+    """
+    fields = await asyncio.to_thread(read_fields, wanted.fields_yaml)
+    project_id = uuid.uuid4()
+    values = {"name": wanted.name, "name_key": name_key(wanted.name), "metadata_fields": _stored(fields)}
+    statement = insert(project).values(
+        id=project_id, description=wanted.description, created_by_id=actor.person_id, **values
+    )
+    try:
+        await db.execute(statement)
+    except IntegrityError as error:
+        raise _name_taken(error, wanted.name) from error
+    after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
+    await record(db, actor, Event("project.create", "project", project_id, wanted.name, project_id, after=after))
+    return await get_project(db, actor, project_id)
+
+
+async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate) -> ProjectRead:
+    """Change what is given and return the project. Missions that no longer satisfy new fields are reported, not broken.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        YamlInvalid: the field definitions cannot be read.
+        FieldsInvalid: they are not usable; names every problem.
+        NameTaken: there is a project of that name.
+    """
+    fields = None if changes.fields_yaml is None else await asyncio.to_thread(read_fields, changes.fields_yaml)
+    await db.execute(queries.lock_project(actor, project_id))
+    old = await get_project(db, actor, project_id)
+    before, after = _changes(old, changes, fields)
+    if not after:
+        return old
+    values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
+    try:
+        await db.execute(queries.change_project(project_id, **values))
+    except IntegrityError as error:
+        raise _name_taken(error, changes.name or old.name) from error
+    if fields is not None and "metadata_fields" in after:
+        await missions.rejudge_missions(db, project_id, fields)
+    new = await get_project(db, actor, project_id)
+    await record(db, actor, Event("project.update", "project", project_id, new.name, project_id, before, after))
+    return new
+
+
+async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID, dry_run: bool) -> Deleted:
+    """Move a project and all in it to the trash; its name is free at once. As a dry run, only say what would go.
+
+    Only the project itself is marked: what it holds is out of sight with it, and back with it.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    seen = await get_project(db, actor, project_id)
+    if not dry_run:
+        await db.execute(queries.change_project(project_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
+        before: Metadata = {"name": seen.name}
+        await record(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
+    return Deleted(missions=seen.mission_count, files=seen.file_count, size_bytes=seen.size_bytes, dry_run=dry_run)
+
+
+async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:
+    """Return the metadata YAML to fill in for the next mission, prefilled from the last one.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+    """
+    text, source = await missions.template_for(db, actor, project_id=project_id)
+    return MissionTemplate(yaml=text, prefilled_from=source)
+
+
+def _stored(fields: MetadataFields) -> Any:  # Any: JSON, as the column takes it
+    return fields.model_dump(mode="json", exclude_none=True)
+
+
+def _changes(
+    old: ProjectRead, changes: ProjectUpdate, fields: MetadataFields | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    held = {"name": old.name, "description": old.description, "metadata_fields": _stored(old.metadata_fields)}
+    given = {
+        "name": changes.name,
+        "description": changes.description,
+        "metadata_fields": None if fields is None else _stored(fields),
+    }
+    after = {name: value for name, value in given.items() if value is not None and value != held[name]}
+    return {name: held[name] for name in after}, after
+
+
+def _name_taken(error: IntegrityError, name: str) -> Exception:
+    return NameTaken(noun="project", name=name) if violated_constraint(error) == "uq_project_name_key_live" else error

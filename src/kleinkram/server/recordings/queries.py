@@ -1,0 +1,73 @@
+"""What is asked of recordings. Functions return selects; they touch no connection."""
+
+import uuid
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, func, select
+from sqlalchemy.dialects.postgresql import aggregate_order_by
+
+from kleinkram.contract.files import FileProblem, RecordingRead
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.pages import Order
+from kleinkram.server.tables import blob, file, mission, project, recording
+
+
+def _of_members(what: ColumnElement[Any], name: str) -> ColumnElement[Any]:
+    members = select(what).join_from(file, blob, blob.c.id == file.c.blob_id)
+    live = members.where(file.c.recording_id == recording.c.id, file.c.deleted_at.is_(None))
+    return live.correlate(recording).scalar_subquery().label(name)
+
+
+def visible_recordings(actor: Actor) -> Select[Any]:
+    """Return the recordings that `actor` may see, as `to_recording` reads them."""
+    names = (
+        mission.c.name.label("mission_name"),
+        project.c.id.label("project_id"),
+        project.c.name.label("project_name"),
+    )
+    members = (
+        _of_members(func.array_agg(aggregate_order_by(file.c.id, file.c.path)), "file_ids"),
+        _of_members(func.array_agg(aggregate_order_by(file.c.path, file.c.path)), "paths"),
+        _of_members(func.coalesce(func.sum(blob.c.size_bytes), 0), "size_bytes"),
+    )
+    stmt = visible_missions(actor).with_only_columns(*recording.c, *names, *members, maintain_column_froms=True)
+    return stmt.join(recording, recording.c.mission_id == mission.c.id)
+
+
+def recordings_of(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return the recordings of one visible mission."""
+    return visible_recordings(actor).where(mission.c.id == mission_id)
+
+
+def recording_by_id(actor: Actor, recording_id: uuid.UUID) -> Select[Any]:
+    """Return one visible recording."""
+    return visible_recordings(actor).where(recording.c.id == recording_id)
+
+
+RECORDING_ORDER = Order([recording.c.name, recording.c.id])
+
+
+def to_recording(row: Row[Any]) -> RecordingRead:
+    """Return the recording that a row stands for."""
+    return RecordingRead(
+        id=row.id,
+        mission=MissionRef(
+            id=row.mission_id,
+            name=row.mission_name,
+            project=ProjectRef(id=row.project_id, name=row.project_name),
+        ),
+        name=row.name,
+        kind=row.kind,
+        file_ids=row.file_ids or [],
+        paths=row.paths or [],
+        missing=row.missing,
+        surplus=row.surplus,
+        problems=[FileProblem(**problem) for problem in row.problems],
+        start_ns=row.start_ns,
+        end_ns=row.end_ns,
+        message_count=row.message_count,
+        size_bytes=int(row.size_bytes),
+    )

@@ -1,0 +1,32 @@
+"""Recordings over HTTP."""
+
+import uuid
+
+from fastapi import APIRouter
+
+from kleinkram.contract.files import RecordingRead
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.server.access.actor import CurrentActor
+from kleinkram.server.db import Transaction
+from kleinkram.server.pages import PageRequest
+from kleinkram.server.recordings import reading
+
+router = APIRouter(prefix="/api/v1", tags=["recordings"])
+
+
+@router.get("/missions/{mission_id}/recordings", operation_id="list_recordings")
+async def list_recordings(
+    mission_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: PageSize = 100,
+    cursor: Cursor | None = None,
+) -> Page[RecordingRead]:
+    """List the recordings of a mission, by name."""
+    return await reading.list_recordings(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
+
+
+@router.get("/recordings/{recording_id}", operation_id="get_recording")
+async def get_recording(recording_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RecordingRead:
+    """Return one recording."""
+    return await reading.get_recording(db, actor, recording_id)

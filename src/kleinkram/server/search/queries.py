@@ -1,0 +1,92 @@
+"""Topics across files, and statistics. Functions return selects; they touch no connection."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, cast, distinct, func, null, select
+
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.stats import StatsRow
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.search.matching import narrow_files, narrow_topics
+from kleinkram.server.search.topics import topic_rows
+from kleinkram.server.search.where import metadata_text
+from kleinkram.server.tables import blob, file, mission, project, recording, topic
+
+
+def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
+    """Return the topics of the files that match, with those files; topic and type globs narrow the topics too."""
+    return narrow_topics(topic_rows(narrow_files(visible_files(actor), matching)), matching)
+
+
+def group_column(by: str) -> ColumnElement[Any] | None:
+    """Return what statistics group by, or None where there is no such group."""
+    if by.startswith("metadata.") and len(by) > len("metadata."):
+        return metadata_text(by.split(".")[1:])
+    # Files of one recording belong to the month in which it began.
+    start_ns = func.coalesce(recording.c.start_ns, blob.c.start_ns)
+    began = func.to_timestamp(cast(start_ns / 1_000_000_000, BigInteger))
+    columns: dict[str, ColumnElement[Any]] = {
+        "project": project.c.name,
+        "mission": project.c.name.concat("/").concat(mission.c.name),
+        "topic": topic.c.name,
+        "type": topic.c.message_type,
+        "month": func.to_char(func.timezone("UTC", began), "YYYY-MM"),
+        "format": blob.c.format,
+    }
+    return columns.get(by)
+
+
+def statistics(
+    actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool, whole: bool
+) -> Select[Any]:
+    """Return one row a group, by group, or with `whole` the one row over all groups.
+
+    A file counts once in each of its groups, and so does a recording.
+    """
+    files = _grouped_files(actor, matching, group=null() if whole else group, by_topic=by_topic).cte("files")
+    sums = (
+        select(
+            files.c.group,
+            func.count(distinct(files.c.mission_id)).label("missions"),
+            func.count().label("files"),
+            func.sum(files.c.size_bytes).label("size_bytes"),
+            func.sum(files.c.messages).label("messages"),
+        )
+        .group_by(files.c.group)
+        .subquery()
+    )
+    seen = select(files.c.group, files.c.recording_id).where(files.c.recording_id.is_not(None)).distinct().subquery()
+    spans = (
+        select(
+            seen.c.group,
+            func.count().label("recordings"),
+            func.sum(recording.c.end_ns - recording.c.start_ns).label("duration_ns"),
+        )
+        .join_from(seen, recording, recording.c.id == seen.c.recording_id)
+        .group_by(seen.c.group)
+        .subquery()
+    )
+    joined = sums.outerjoin(spans, sums.c.group.is_not_distinct_from(spans.c.group))
+    chosen = select(*sums.c, spans.c.recordings, spans.c.duration_ns).select_from(joined)
+    return chosen.order_by(sums.c.group.collate("C").nulls_last())
+
+
+def _grouped_files(actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool) -> Select[Any]:
+    stmt = narrow_files(visible_files(actor), matching).outerjoin(recording, recording.c.id == file.c.recording_id)
+    if by_topic:
+        # Files without topics stay, in the group without a name, unless topics were asked for.
+        stmt = narrow_topics(stmt.outerjoin(topic, topic.c.blob_id == blob.c.id), matching)
+    own: Sequence[ColumnElement[Any]] = (file.c.id, file.c.mission_id, file.c.recording_id, blob.c.size_bytes)
+    messages = func.sum(topic.c.count) if by_topic else func.max(blob.c.message_count)
+    label = cast(group, Text).label("group")
+    chosen = stmt.with_only_columns(label, *own, messages.label("messages"), maintain_column_froms=True)
+    return chosen.group_by(label, *own)
+
+
+def to_stats(row: Row[Any] | None) -> StatsRow:
+    """Return the statistics that a row stands for; without a row, none of anything."""
+    numbers = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
+    counted = {name: int((row._mapping[name] if row else None) or 0) for name in numbers}
+    return StatsRow(group=row.group if row else None, **counted)

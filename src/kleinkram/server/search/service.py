@@ -1,0 +1,39 @@
+"""What is asked across missions and files."""
+
+from kleinkram.contract.errors import InvalidQuery
+from kleinkram.contract.files import FileFilter, TopicRead
+from kleinkram.contract.paging import Page
+from kleinkram.contract.stats import StatsRead
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import Connection
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.search import queries
+from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
+
+
+async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, page: PageRequest) -> Page[TopicRead]:
+    """Return a page of the topics of files that match, by name.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+        InvalidCursor: the cursor is not of this list.
+    """
+    rows = await fetch_page(db, queries.matching_topics(actor, matching), TOPIC_ORDER, page)
+    return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilter) -> StatsRead:
+    """Return statistics of the files that match, grouped by `by`, and in all.
+
+    Raises:
+        InvalidQuery: there is no such grouping, or a `where` cannot be used.
+    """
+    group = queries.group_column(by)
+    if group is None:
+        reason = "statistics go by project, mission, topic, type, month, format or metadata.FIELD"
+        raise InvalidQuery(expression=by, reason=reason)
+    by_topic = by in {"topic", "type"}
+    grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
+    rows = [queries.to_stats(row) for row in await db.execute(grouped)]
+    whole = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=True)
+    return StatsRead(by=by, rows=rows, total=queries.to_stats((await db.execute(whole)).one_or_none()))
