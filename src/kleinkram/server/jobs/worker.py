@@ -27,8 +27,13 @@ JOB_MODULES = (_blob_jobs, _recording_jobs, _upload_jobs)
 async def run_worker(settings: Settings) -> None:
     """Run jobs until SIGTERM or SIGINT; a job under way is finished first."""
     connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=4)
+    # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
+    with queue.replace_connector(connector) as app:
+        await _run(app, settings)
+
+
+async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings)
-    app: App = queue.with_connector(connector)
     async with app.open_async(), open_storage(settings, ChecksumKind.crc64nvme) as storage:
         site = Site(database, storage, settings)
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from sqlalchemy import Row, Select, bindparam, delete, func, select, update
+from sqlalchemy import Row, Select, bindparam, delete, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.recordings import RecordingGroup, Rosbag2Metadata, group
@@ -14,6 +14,8 @@ from kleinkram.server.db import Connection
 from kleinkram.server.tables import blob, file, mission, recording
 
 _INSERT_BATCH = 1000
+# 1990: no robot recorded before; a clock that starts in 1970 was never set.
+_CREDIBLE_NS = 631_152_000 * 10**9
 
 
 def lock_mission(mission_id: uuid.UUID) -> Select[Any]:
@@ -100,11 +102,17 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
             file.c.id == bindparam("b_file"), file.c.recording_id.is_distinct_from(bindparam("b_recording"))
         )
         await db.execute(statement.values(recording_id=bindparam("b_recording")), links)
-    span = select(func.min(recording.c.start_ns), func.max(recording.c.end_ns)).where(
-        recording.c.mission_id == mission_id
-    )
-    start_ns, end_ns = (await db.execute(span)).one()
+    start_ns, end_ns = _span(derived)
     await db.execute(update(mission).where(mission.c.id == mission_id).values(start_ns=start_ns, end_ns=end_ns))
+
+
+def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:
+    """Return from when to when a mission's recordings last. One from a clock that was never set does not stretch it."""
+    spans = [
+        (each.values["start_ns"], each.values["end_ns"]) for each in derived if each.values["start_ns"] is not None
+    ]
+    credible = [span for span in spans if span[0] >= _CREDIBLE_NS] or spans
+    return min((start for start, _ in credible), default=None), max((end for _, end in credible), default=None)
 
 
 def _paths(each: RecordingGroup) -> list[str]:

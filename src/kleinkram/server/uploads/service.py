@@ -276,13 +276,13 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
             _check_signable(rows.get(part.upload_id), part)
         await db.execute(update(upload).where(upload.c.id.in_(ids)).values(**_renewed(site.settings)))
         whole = [
-            {"b_id": part.upload_id, "checksum": part.checksum}
+            {"b_id": part.upload_id, "b_checksum": part.checksum}
             for part in wanted
             if not is_multipart(rows[part.upload_id]) and rows[part.upload_id].signed_checksum is None
         ]
         if whole:
             statement = update(upload).where(upload.c.id == bindparam("b_id"))
-            await db.execute(statement.values(signed_checksum=bindparam("checksum")), whole)
+            await db.execute(statement.values(signed_checksum=bindparam("b_checksum")), whole)
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
     return [await _sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
 
