@@ -27,6 +27,16 @@ class Listening:
     tls_key: Path | None = None
 
     @property
+    def tls(self) -> tuple[Path, Path] | None:
+        """Certificate and key, where both are given."""
+        return (self.tls_cert, self.tls_key) if self.tls_cert and self.tls_key else None
+
+    @property
+    def needs_door(self) -> bool:
+        """Whether clients reach the store by another port than this machine's own parts do."""
+        return not self.is_loopback or self.tls is not None
+
+    @property
     def scheme(self) -> str:
         """`https` where a certificate is given."""
         return "https" if self.tls_cert else "http"
@@ -86,7 +96,7 @@ def settle_ports(listening: Listening, remembered: dict[str, int]) -> dict[str, 
                 f"Port {given} on {listening.address} is taken{f' by {holder}' if holder else ''}: "
                 f"end that program, or choose another port with {_FLAGS[name]}."
             )
-    for name in ("postgres", "gateway_grpc", *PORT_NAMES):
+    for name in ("postgres", *PORT_NAMES):
         settled[name] = _settle(name, "127.0.0.1", remembered, settled)
     return settled
 

@@ -40,6 +40,15 @@ def get(url: str, *, timeout_s: float = 2) -> Answer:
         connection.close()
 
 
+def answers(url: str, *, timeout_s: float = 2) -> bool:
+    """Whether anything that speaks HTTP answers there."""
+    try:
+        get(url, timeout_s=timeout_s)
+    except (OSError, http.client.HTTPException):
+        return False
+    return True
+
+
 def is_ready(base_url: str, *, timeout_s: float = 2) -> bool:
     """Whether the API answers that database, store and migrations are all right."""
     try:

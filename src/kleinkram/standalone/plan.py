@@ -11,9 +11,10 @@ from kleinkram.standalone.binaries import locate_postgres, locate_weed
 from kleinkram.standalone.child import Command
 from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
 from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords
-from kleinkram.standalone.store import BUCKET, PublicAddress, StoreFolder
+from kleinkram.standalone.store import BUCKET, StoreFolder
 
 SERVER = (sys.executable, "-m", "kleinkram.server")
+DOOR = (sys.executable, "-m", "kleinkram.standalone.door")
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,6 @@ class Plan:
     store_public_url: str
     postgres: PostgresCluster
     store: StoreFolder
-    gateway: PublicAddress | None
 
     def server_process(self, name: str, *arguments: str) -> Command:
         """One of the server's processes; only `migrate` learns the password of the role that owns the schema."""
@@ -53,11 +53,24 @@ class Plan:
             directory=self.data_dir.root,
         )
 
+    def door(self) -> Command | None:
+        """What passes clients from outside on to the store; None where they reach it directly."""
+        if not self.listening.needs_door:
+            return None
+        target = self.store.ports["s3_tls" if self.listening.tls else "s3"]
+        return Command(
+            arguments=[*DOOR, self.listening.address, str(self.ports["store"]), str(target)],
+            data_dir=self.data_dir.root,
+            log=self.data_dir.log("door"),
+            directory=self.data_dir.root,
+        )
+
     def api_arguments(self) -> list[str]:
         """Where the API listens."""
         arguments = ["--host", self.listening.address, "--port", str(self.ports["api"])]
-        if self.listening.tls_cert and self.listening.tls_key:
-            arguments += ["--tls-cert", str(self.listening.tls_cert), "--tls-key", str(self.listening.tls_key)]
+        if self.listening.tls:
+            certificate, key = self.listening.tls
+            arguments += ["--tls-cert", str(certificate), "--tls-key", str(key)]
         return arguments
 
 
@@ -75,7 +88,6 @@ def make_plan(options: UpOptions) -> Plan:
     secrets = load_secrets(data_dir)
     ensure_owner_token(data_dir)
     public_url, store_public_url = public_urls(listening, ports)
-    gateway = _gateway(listening, ports)
     return Plan(
         data_dir=data_dir,
         listening=listening,
@@ -96,24 +108,11 @@ def make_plan(options: UpOptions) -> Plan:
             data_dir=data_dir.root,
             folder=data_dir.store,
             log=data_dir.log("store"),
-            ports={**ports, "s3": ports["s3"] if gateway else ports["store"]},
+            ports={**ports, "s3": ports["s3"] if listening.needs_door else ports["store"]},
             access_key=secrets.s3_access_key,
             secret_key=secrets.s3_secret_key,
+            tls=listening.tls,
         ),
-        gateway=gateway,
-    )
-
-
-def _gateway(listening: Listening, ports: Mapping[str, int]) -> PublicAddress | None:
-    """A door of its own for clients where they come from outside, or where they speak TLS."""
-    if listening.is_loopback and listening.tls_cert is None:
-        return None
-    return PublicAddress(
-        address=listening.address,
-        port=ports["store"],
-        grpc_port=ports["gateway_grpc"],
-        certificate=listening.tls_cert,
-        key=listening.tls_key,
     )
 
 

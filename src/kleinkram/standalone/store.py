@@ -1,7 +1,7 @@
 """Life-cycle of a private S3 store: SeaweedFS's `weed mini`, on loopback, with one identity and no services but S3.
 
-Where other machines may come in, a second process (`weed s3`) listens for them, with TLS if wanted, so that master,
-volume and filer ports, which ask for no credentials, stay on loopback. Ready means: bytes written came back.
+Master, volume and filer ports ask for no credentials, so nothing of it ever listens beyond loopback: other machines
+come in through `door`. Ready means: bytes written came back.
 """
 
 import json
@@ -17,7 +17,7 @@ from kleinkram.standalone.s3 import StoreAccess
 BUCKET = "kleinkram"
 STOP_SIGNAL = signal.SIGTERM
 _SERVICES = ("s3", "master", "volume", "filer", "admin")
-PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _SERVICES))
+PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _SERVICES), "s3_tls")
 
 # A loopback socket's path must fit into sockaddr_un.
 _LONGEST_SOCKET_PATH = 100
@@ -25,7 +25,10 @@ _LONGEST_SOCKET_PATH = 100
 
 @dataclass(frozen=True)
 class StoreFolder:
-    """Where one private store lives, its ports by `PORT_NAMES`, and its only identity."""
+    """Where one private store lives, its ports by `PORT_NAMES`, its only identity, and certificate and key if any.
+
+    With a certificate it speaks TLS on `ports["s3_tls"]`, besides plain HTTP on `ports["s3"]`.
+    """
 
     program: Path
     data_dir: Path
@@ -34,22 +37,12 @@ class StoreFolder:
     ports: dict[str, int]
     access_key: str
     secret_key: str
+    tls: tuple[Path, Path] | None = None
 
     @property
     def access(self) -> StoreAccess:
         """The store as this machine reaches it."""
         return StoreAccess(f"http://127.0.0.1:{self.ports['s3']}", self.access_key, self.secret_key)
-
-
-@dataclass(frozen=True)
-class PublicAddress:
-    """Where other machines reach the store: address and port to listen on, certificate and key for TLS."""
-
-    address: str
-    port: int
-    grpc_port: int
-    certificate: Path | None = None
-    key: Path | None = None
 
 
 def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
@@ -77,35 +70,19 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
         "-admin.ui=false",
         "-webdav=false",
     ]
-    return spawn(_as_child(store, arguments, memory_mib=500))
+    if store.tls:
+        certificate, key = store.tls
+        arguments += [f"-s3.port.https={ports['s3_tls']}", f"-s3.cert.file={certificate}", f"-s3.key.file={key}"]
+    return spawn(_as_child(store, arguments))
 
 
-def start_gateway(store: StoreFolder, public: PublicAddress) -> "subprocess.Popen[bytes]":
-    """Start the door for other machines: S3 only, on the public address, over the same objects."""
-    arguments = [
-        "s3",
-        f"-filer=127.0.0.1:{store.ports['filer']}.{store.ports['filer_grpc']}",
-        f"-ip.bind={public.address}",
-        f"-port={public.port}",
-        f"-port.grpc={public.grpc_port}",
-        "-port.iceberg=0",
-        "-port.lance=0",
-        f"-config={_write_identities(store)}",
-        "-autoCreateBucket=false",
-        f"-localSocket={_socket(store, 'gateway')}",
-    ]
-    if public.certificate and public.key:
-        arguments += [f"-cert.file={public.certificate}", f"-key.file={public.key}"]
-    return spawn(_as_child(store, arguments, memory_mib=200))
-
-
-def _as_child(store: StoreFolder, arguments: list[str], *, memory_mib: int) -> Command:
+def _as_child(store: StoreFolder, arguments: list[str]) -> Command:
     return Command(
         arguments=[str(store.program), "-logtostderr=true", *arguments],
         data_dir=store.data_dir,
         log=store.log,
         # GOGC=50 keeps the speed that a memory limit alone would cost.
-        environment={"GOMEMLIMIT": f"{memory_mib}MiB", "GOGC": "50"},
+        environment={"GOMEMLIMIT": "500MiB", "GOGC": "50"},
         # Not where the caller stands: weed reads a security.toml from its working directory.
         directory=store.folder,
     )

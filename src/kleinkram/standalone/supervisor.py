@@ -86,8 +86,9 @@ class Supervisor:
         postgres.prepare_database(plan.postgres)
         self._migrate()
         self._wait_for_store()
-        if gateway := plan.gateway:
-            self._launch("gateway", lambda: store.start_gateway(plan.store, gateway), stop_signal=store.STOP_SIGNAL)
+        if door := plan.door():
+            self._launch("door", lambda: child.spawn(door))
+            self._wait(lambda: health.answers(local_store_url(plan)), self.parts["door"])
         self._launch("api", lambda: child.spawn(plan.server_process("api", *plan.api_arguments())))
         self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
         self._wait(lambda: health.is_ready(local_url(plan)), self.parts["api"])
@@ -112,7 +113,7 @@ class Supervisor:
 
     def stop(self) -> None:
         """End all parts: those that use others first."""
-        for name in ("worker", "api", "gateway", "store", "postgres"):
+        for name in ("worker", "api", "door", "store", "postgres"):
             if running := self.parts.pop(name, None):
                 running.stop()
         self.plan.data_dir.instance_file.unlink(missing_ok=True)
@@ -204,6 +205,11 @@ class Supervisor:
 def local_url(plan: Plan) -> str:
     """The API's address from this machine."""
     return f"{plan.listening.scheme}://{plan.listening.local_host}:{plan.ports['api']}"
+
+
+def local_store_url(plan: Plan) -> str:
+    """The store's address for clients, from this machine."""
+    return f"{plan.listening.scheme}://{plan.listening.local_host}:{plan.ports['store']}"
 
 
 def _ended(running: RunningPart) -> PartFailed:

@@ -89,12 +89,16 @@ class Instance:
             os.kill(pid, 9)
 
 
-@pytest.fixture(scope="module")
-def shared_instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
-    """An instance whose database is made once per module."""
-    instance = _make_instance(tmp_path_factory.mktemp("instance"))
-    yield instance
-    instance.clean()
+@pytest.fixture(scope="session")
+def _made_once(tmp_path_factory: pytest.TempPathFactory) -> Instance:
+    return _make_instance(tmp_path_factory.mktemp("instance"))
+
+
+@pytest.fixture
+def shared_instance(_made_once: Instance) -> Iterator[Instance]:
+    """An instance whose database is made once per session; nothing of it runs when a test begins."""
+    yield _made_once
+    _made_once.clean()
 
 
 @pytest.fixture

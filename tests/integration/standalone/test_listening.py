@@ -1,0 +1,138 @@
+"""Other machines, ports, TLS. Another address of this machine stands for another machine."""
+
+import datetime
+import http.client
+import ipaddress
+import socket
+import ssl
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from kleinkram.standalone import s3
+from kleinkram.standalone.address import Listening, check_listening, public_urls
+from kleinkram.standalone.data_dir import DataDir, load_secrets
+from kleinkram.standalone.errors import StandaloneError
+from kleinkram.standalone.health import get
+from kleinkram.standalone.leftovers import stop_instance
+from tests.integration.standalone.conftest import Instance
+
+ELSEWHERE = "127.0.0.2"
+
+
+def _open(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(2)
+        return probe.connect_ex((ELSEWHERE, port)) == 0
+
+
+def test_by_default_only_this_machine_can_connect(shared_instance: Instance) -> None:
+    shared_instance.up()
+    assert not any(_open(port) for port in shared_instance.told["ports"].values())
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_listening_opens_api_and_store_and_nothing_else(shared_instance: Instance) -> None:
+    process = shared_instance.up(listening=replace(shared_instance.listening, address="0.0.0.0"))
+    told = shared_instance.told
+    reachable = {name for name, port in told["ports"].items() if _open(port)}
+    assert reachable == {"api", "store"}
+    secrets = load_secrets(DataDir(shared_instance.data_dir))
+    public = s3.StoreAccess(told["store_url"], secrets.s3_access_key, secrets.s3_secret_key)
+    assert s3.request(public, "PUT", "/kleinkram/from-elsewhere", body=b"bytes")[0] == 200
+    assert s3.request(public, "GET", "/kleinkram/from-elsewhere") == (200, b"bytes")
+    stop_instance(DataDir(shared_instance.data_dir))
+    assert "without TLS" in process.communicate(timeout=10)[1]
+
+
+def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, certificate: tuple[Path, Path]) -> None:
+    listening = replace(
+        shared_instance.listening,
+        address="0.0.0.0",
+        public_url=f"https://127.0.0.1:{shared_instance.listening.port}",
+        tls_cert=certificate[0],
+        tls_key=certificate[1],
+    )
+    process = shared_instance.up(listening=listening)
+    told = shared_instance.told
+    assert told["url"].startswith("https://")
+    assert told["store_url"].startswith("https://")
+    assert get(f"{told['url']}/health/live").status == 200
+    trusting = ssl.create_default_context(cafile=str(certificate[0]))
+    store = http.client.HTTPSConnection(urlsplit(told["store_url"]).netloc, timeout=5, context=trusting)
+    store.request("GET", "/")
+    assert store.getresponse().status == 403
+    store.close()
+    stop_instance(DataDir(shared_instance.data_dir))
+    assert "without TLS" not in process.communicate(timeout=10)[1]
+
+
+def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = shared_instance.refused(listening=replace(shared_instance.listening, port=port))
+    assert f"Port {port} on 127.0.0.1 is taken by " in said
+    assert "choose another port with --port" in said
+    assert shared_instance.processes == []
+
+
+def test_a_private_port_that_was_taken_meanwhile_is_chosen_anew(shared_instance: Instance) -> None:
+    shared_instance.up()
+    before = shared_instance.told["ports"]
+    stop_instance(DataDir(shared_instance.data_dir))
+    with socket.create_server(("127.0.0.1", before["postgres"])):
+        shared_instance.up()
+        after = shared_instance.told["ports"]
+        stop_instance(DataDir(shared_instance.data_dir))
+    assert after["postgres"] != before["postgres"]
+    assert after["store"] == before["store"]
+
+
+@pytest.mark.parametrize(
+    ("listening", "sentence"),
+    [
+        (Listening(address="lab"), "is no IP address"),
+        (Listening(public_url="lab:8000"), "is no URL"),
+        (Listening(tls_cert=Path("cert.pem")), "both --tls-cert and --tls-key"),
+        (Listening(tls_cert=Path("/none.pem"), tls_key=Path("/none.pem")), "is not there"),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused(listening: Listening, sentence: str) -> None:
+    with pytest.raises(StandaloneError, match=sentence):
+        check_listening(listening)
+
+
+def test_the_public_url_gives_the_store_its_host() -> None:
+    listening = Listening(address="0.0.0.0", public_url="http://lab.example:9000/")
+    assert public_urls(listening, {"api": 1, "store": 2}) == ("http://lab.example:9000", "http://lab.example:2")
+
+
+@pytest.fixture
+def certificate(tmp_path: Path) -> tuple[Path, Path]:
+    """A self-signed certificate for 127.0.0.1, and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
+    now = datetime.datetime.now(datetime.timezone.utc)
+    signed = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(hours=1))
+        .not_valid_after(now + datetime.timedelta(hours=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    certificate, private = tmp_path / "cert.pem", tmp_path / "key.pem"
+    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    private.write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return certificate, private
