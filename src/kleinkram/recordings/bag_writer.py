@@ -45,7 +45,7 @@ class BagWriter:
     """Writes to a seekable file opened for binary writing; call `finish` at the end, or the bag is not indexed.
 
     Attributes:
-        bytes_written: size of the file so far, with the chunk being filled counted uncompressed.
+        bytes_written: size of the file so far, with an estimate for the chunk being filled.
     """
 
     def __init__(
@@ -57,6 +57,7 @@ class BagWriter:
         self._chunk_bytes = chunk_bytes
         self._chunk = _Chunk()
         self._position = 0
+        self._raw_bytes = self._stored_bytes = 0
         self._connections: list[bytes] = []
         self._chunk_infos: list[bytes] = []
         self._put(records.MAGIC)
@@ -64,8 +65,10 @@ class BagWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file so far."""
-        return self._position + self._chunk.size
+        """Size of the file so far; of the chunk being filled, what it will be if it compresses like those before."""
+        if not self._raw_bytes:
+            return self._position + self._chunk.size
+        return self._position + self._chunk.size * self._stored_bytes // self._raw_bytes
 
     def add_connection(self, topic: str, message_type: str, *, md5sum: str, definition: str) -> int:
         """Define a topic; returns its number, to be used for messages."""
@@ -112,6 +115,8 @@ class BagWriter:
         if not chunk.index:
             return
         stored = self._compress(b"".join(chunk.pieces))
+        self._raw_bytes += chunk.size
+        self._stored_bytes += len(stored)
         start = self._position
         compression = self._compression.value.encode()
         head = _fields(op=bytes([records.CHUNK]), compression=compression, size=_u32(chunk.size))

@@ -44,23 +44,33 @@ def _bounded(refill: Refill, most: int) -> Refill:
 
 
 class _Reading:
-    """The little of a file that zstandard's reader asks for."""
+    """The little of a file that zstandard's reader asks for; notes the window that the first frame wants."""
 
     def __init__(self, read: ReadUpTo) -> None:
         self._read = read
+        self.window = 0
 
     def read(self, size: int = WINDOW) -> bytes:
-        return self._read(size)
+        data = self._read(size)
+        if not self.window and data:
+            self.window = max(1, zstandard.get_frame_parameters(data).window_size)
+            if self.window > MAX_ZSTD_WINDOW:
+                raise Malformed("chunk", f"its zstd data want {self.window} bytes of memory to be read", certain=False)
+        return data
 
 
 def _zstd(read: ReadUpTo) -> Refill:
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-    reader = decompressor.stream_reader(_Reading(read), read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
+    reading = _Reading(read)
+    reader = decompressor.stream_reader(reading, read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
 
     def refill() -> bytes:
         try:
             return reader.read(WINDOW)
         except zstandard.ZstdError as error:
+            # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
+            # whether there was enough is tried out, and a MemoryError says that there was not.
+            bytearray(reading.window + WINDOW)
             raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
 
     return refill

@@ -134,17 +134,17 @@ def read_header(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a schema. Only the head of the body is looked at, so it may be cut behind the encoding."""
+    """Note a schema; the first of an id counts. The body may be cut behind the encoding."""
     reader = BodyReader(body, where)
     (schema_id,) = reader.fields(_U16)
     schema = Schema(reader.text(), reader.text())
     if schema_id not in facts.schemas:
         _count_names(facts, where, *schema)
-    facts.schemas[schema_id] = schema
+        facts.schemas[schema_id] = schema
 
 
 def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a channel. Only the head of the body is looked at, so it may be cut behind the encoding."""
+    """Note a channel; the first of an id counts. The body may be cut behind the encoding."""
     reader = BodyReader(body, where)
     channel_id, schema_id = reader.fields(_PAIR_U16)
     channel = Channel(schema_id, reader.text(), reader.text())
@@ -152,7 +152,7 @@ def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
         if len(facts.channels) >= MAX_TOPICS:
             raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
         _count_names(facts, where, channel.topic, channel.message_encoding)
-    facts.channels[channel_id] = channel
+        facts.channels[channel_id] = channel
 
 
 def _count_names(facts: McapFacts, where: str, *names: str) -> None:

@@ -90,8 +90,6 @@ class _Scanner:
         if stream.at_end():
             raise Cut(f"byte {start}", "the file ends without a footer")
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode == 0:
-            raise Malformed(f"byte {start}", "only zeros or rubbish where a record should begin")
         left = self._source.size_bytes - stream.position
         if length > left:
             name = _NAMES.get(opcode, "a record")
@@ -114,7 +112,13 @@ class _Scanner:
 
     def _read_common(self, stream: ForwardStream, opcode: int, length: int, batch: _Batch) -> None:
         """Read a record that may stand in a chunk or outside of one."""
-        facts, where, end = self.scan.facts, f"byte {stream.position}", stream.position + length
+        facts, where, end = (
+            self.scan.facts,
+            f"byte {stream.position - records.RECORD_HEAD.size}",
+            stream.position + length,
+        )
+        if opcode == 0:
+            raise Malformed(where, "only zeros or rubbish where a record should begin")
         if opcode == records.MESSAGE:
             channel_id, _sequence, log_time, _publish_time = _unpack(_MESSAGE_HEAD, stream, length)
             if channel_id not in facts.channels:
@@ -126,6 +130,8 @@ class _Scanner:
             records.read_channel(facts, stream.take(min(length, _HEAD_OF_DEFINITION)), where)
         elif opcode == records.HEADER:
             records.read_header(facts, stream.take(min(length, _HEAD_OF_DEFINITION)), where)
+        elif opcode == records.STATISTICS:
+            records.read_statistics(facts, stream.take(length), where)
         elif opcode == records.METADATA:
             facts.metadata_records += 1
         stream.skip(end - stream.position)

@@ -42,8 +42,13 @@ def summarise_mcap(source: Source) -> RecordingSummary:
         return RecordingSummary(RecordingFormat.mcap, Content.pending, reason, problems=tuple(problems))
     timeline = Timeline()
     scan = scan_mcap(source, timeline)
-    why = _why_not_whole(scan, whole=footer is not None, messages=sum(t.count for t in timeline.topics.values()))
-    problems += [Problem("damaged", error.where, error.message) for error in scan.damage]
+    messages = sum(times.count for times in timeline.topics.values())
+    why = _why_not_whole(scan, whole=footer is not None, messages=messages)
+    problems += [Problem("damaged", fault.where, fault.message) for fault in scan.damage]
+    claimed = scan.facts.statistics
+    if claimed is not None and claimed.messages != messages and not problems:
+        message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
+        problems.append(Problem("counts-disagree", source.name, message))
     content = _content(scan, why)
     return _summary(content, why, scan.facts, timeline, problems)
 

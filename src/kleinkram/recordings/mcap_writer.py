@@ -50,7 +50,7 @@ class McapWriter:
     """Writes to a file opened for binary writing; call `finish` at the end, or the file has no index.
 
     Attributes:
-        bytes_written: size of the file so far, with the chunk being filled counted uncompressed.
+        bytes_written: size of the file so far, with an estimate for the chunk being filled.
     """
 
     def __init__(
@@ -68,6 +68,7 @@ class McapWriter:
         self._chunk_bytes = chunk_bytes
         self._chunk = _Chunk()
         self._position = 0
+        self._raw_bytes = self._stored_bytes = 0
         self._crc = 0
         self._definitions: list[bytes] = []
         self._chunk_indexes: list[bytes] = []
@@ -79,8 +80,10 @@ class McapWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file so far."""
-        return self._position + self._chunk.size
+        """Size of the file so far; of the chunk being filled, what it will be if it compresses like those before."""
+        if not self._raw_bytes:
+            return self._position + self._chunk.size
+        return self._position + self._chunk.size * self._stored_bytes // self._raw_bytes
 
     def add_schema(self, name: str, encoding: str, text: bytes) -> int:
         """Define a message type; returns its id, to be used for channels."""
@@ -159,6 +162,8 @@ class McapWriter:
             self._span = (min(self._span[0], chunk.first_ns), max(self._span[1], chunk.last_ns))
         raw = b"".join(chunk.pieces)
         stored = self._compress(raw)
+        self._raw_bytes += chunk.size
+        self._stored_bytes += len(stored)
         start = self._position
         fixed = _CHUNK_FIXED.pack(chunk.first_ns, chunk.last_ns, len(raw), zlib.crc32(raw))
         head = fixed + _text(self._compression.value) + struct.pack("<Q", len(stored))

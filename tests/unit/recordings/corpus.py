@@ -37,8 +37,8 @@ def entries() -> tuple[Entry, ...]:
     )
 
 
-def params(*formats: str, broken: bool = False) -> list[Any]:
+def params(*formats: str, broken: bool = False, without: str = "") -> list[Any]:
     """Test parameters: the files of some formats, whole or broken; without recordings, one that will be skipped."""
-    found = [e for e in entries() if e.format in formats and (e.broken is not None) == broken]
+    found = [e for e in entries() if e.format in formats and (e.broken is not None) == broken and e.name != without]
     missing = Entry("recordings are missing", None, {})
     return [pytest.param(entry, id=entry.name) for entry in found or [missing]]

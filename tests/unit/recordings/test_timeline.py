@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -31,7 +32,7 @@ def measured(chunks: list[list[int]], *, watermarks: bool = True) -> Measured:
 
 def plain_gap(stamps: list[int]) -> int:
     ordered = sorted(stamps)
-    return max((b - a for a, b in zip(ordered, ordered[1:], strict=False)), default=0)
+    return max((b - a for a, b in pairwise(ordered)), default=0)
 
 
 def plain_disorder(stamps: list[int]) -> int:

@@ -64,7 +64,7 @@ def generate_mission(
 ) -> MissionTruth:
     """Make `drive.mcap` (zstd), `drive.bag` (lz4) and `drive_rosbag2/` (db3) in a directory, and say what is in them.
 
-    With `size_bytes`, all data files together have about that size (a few percent, at least some 100 kB each); with
+    With `size_bytes`, all data files together have about that size (to a few percent; below 1 MB a file, less); with
     `duration_s`, the drive lasts that long; with both, pictures and scans are scaled. The same arguments give the
     same bytes. 10 seconds without either.
 

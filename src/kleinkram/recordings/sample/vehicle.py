@@ -26,7 +26,8 @@ LATITUDE_DEG, LONGITUDE_DEG, ALTITUDE_M = 47.4076, 8.5072, 540.0
 _METRES_PER_DEGREE = 111_320.0
 _JITTER = 0.02
 _COLUMNS, _ROWS, _PICTURES = 80, 60, 8
-_SCANS, _RINGS, _POINT_BYTES = 4, 16, 16
+_LEAST_SCANS, _MOST_SCANS, _SCAN_BYTES = 4, 256, 2 * 2**20
+_RINGS, _POINT_BYTES = 16, 16
 _NOISE_BYTES = 4 * 2**20
 _FLOAT32 = 7
 
@@ -186,11 +187,12 @@ class Vehicle:
             [("I", 1), ("I", points), *fields, ("B", 0), ("I", _POINT_BYTES), ("I", size), ("I", size)],
         )
         chance = self._random("lidar")
-        scans = [_scan(chance, points) for _ in range(_SCANS)]
+        # Enough of them that no compressor finds one again within its window.
+        scans = [_scan(chance, points) for _ in range(max(_LEAST_SCANS, min(_MOST_SCANS, _SCAN_BYTES // size)))]
         is_dense = b"\x01"
 
         def make(k: int, _seconds: float, stamp_ns: int) -> bytes:
-            return b"".join((layout.pack(*_stamp(stamp_ns)), scans[k % _SCANS], is_dense))
+            return b"".join((layout.pack(*_stamp(stamp_ns)), scans[k % len(scans)], is_dense))
 
         return make
 

@@ -1,0 +1,269 @@
+"""Files that claim what is not so: the answer is a summary, soon, and in little memory."""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+
+import pytest
+import zstandard
+
+from kleinkram.recordings import Content, RecordingFormat, RecordingSummary, summarise
+from kleinkram.recordings import mcap_records as records
+from kleinkram.recordings.bag_records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.bag_writer import BagWriter
+from kleinkram.recordings.mcap_writer import Compression, McapWriter
+
+from .memory_source import MemorySource
+
+T0 = 1_700_000_000_000_000_000
+HUGE = 2**63
+
+
+def small_mcap(compression: Compression = Compression.zstd) -> bytes:
+    """Return a whole MCAP with two chunks of 20 messages each."""
+    out = BytesIO()
+    writer = McapWriter(out, compression=compression, chunk_bytes=1_000)
+    channel = writer.add_channel("/t", writer.add_schema("T", "ros2msg", b"int8 x"), "cdr")
+    for number in range(40):
+        writer.add_message(channel, T0 + number, b"p" * 20, publish_time_ns=0)
+    writer.finish()
+    return out.getvalue()
+
+
+def small_bag() -> bytes:
+    """Return a whole bag with several chunks."""
+    out = BytesIO()
+    writer = BagWriter(out, chunk_bytes=1_000)
+    connection = writer.add_connection("/t", "a/B", md5sum="*", definition="int8 x")
+    for number in range(40):
+        writer.add_message(connection, T0 + number, b"p" * 20)
+    writer.finish()
+    return out.getvalue()
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def mcap_of(data: bytes, summary: bytes = b"") -> bytes:
+    """Return an MCAP of a header, some data, and a summary section without CRC."""
+    front = records.MAGIC + record(records.HEADER, bytes(8)) + data + record(records.DATA_END, bytes(4))
+    footer = struct.pack("<QQI", len(front) if summary else 0, 0, 0)
+    return front + summary + record(records.FOOTER, footer) + records.MAGIC
+
+
+def summarise_bytes(data: bytes, name: str = "test.mcap") -> RecordingSummary:
+    return summarise(MemorySource(data, name))
+
+
+def chunk_index(start: int, length: int, index_length: int, offsets_claim: int = 0) -> bytes:
+    head = struct.pack("<QQQQI", 0, 0, start, length, offsets_claim)
+    return record(records.CHUNK_INDEX, head + struct.pack("<QI", index_length, 0) + struct.pack("<QQ", 10, 10))
+
+
+def chunk(compression: bytes, stored: bytes, uncompressed: int, crc: int = 0) -> bytes:
+    head = struct.pack("<QQQII", 0, 0, uncompressed, crc, len(compression)) + compression
+    return record(records.CHUNK, head + struct.pack("<Q", len(stored)) + stored)
+
+
+def test_the_small_files_are_whole() -> None:
+    for compression in Compression:
+        assert summarise_bytes(small_mcap(compression)).content is Content.indexed
+    assert summarise_bytes(small_bag(), "test.bag").content is Content.indexed
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [
+        chunk_index(HUGE, 10, 10),
+        chunk_index(2**64 - 1, 2**64 - 1, 2**64 - 1),
+        chunk_index(8, 10, HUGE),
+        chunk_index(8, 10, 10, offsets_claim=2**32 - 1),
+        chunk_index(8, 20, 0) + chunk_index(8, 20, 0),
+        record(records.STATISTICS, struct.pack("<QHIIIIQQ", HUGE, 0, 0, 0, 0, 0, 0, 0) + struct.pack("<I", 2**32 - 1)),
+        struct.pack("<BQ", records.CHUNK_INDEX, HUGE),
+        struct.pack("<BQ", records.SCHEMA, HUGE) + bytes(30),
+        record(records.CHANNEL, struct.pack("<HHI", 0, 0, 2**31)),
+        b"\x08",
+    ],
+    ids=[
+        "chunk beyond file",
+        "numbers that overflow",
+        "index beyond file",
+        "map beyond record",
+        "overlapping chunks",
+        "too many messages",
+        "record beyond file",
+        "schema beyond file",
+        "name beyond record",
+        "cut record",
+    ],
+)
+def test_an_index_that_lies_is_not_believed(summary: bytes) -> None:
+    found = summarise_bytes(mcap_of(b"", summary))
+    assert found.message_count == 0
+    assert found.problems
+
+
+def test_a_summary_that_begins_beyond_the_file() -> None:
+    data = bytearray(small_mcap())
+    at = len(data) - len(records.MAGIC) - records.FOOTER_BODY.size
+    data[at : at + 8] = struct.pack("<Q", HUGE)
+    summary = summarise_bytes(bytes(data))
+    assert (summary.content, summary.message_count) == (Content.indexed, 40)
+    assert [problem.code for problem in summary.problems] == ["index-damaged"]
+
+
+def test_a_flipped_byte_in_the_summary_is_found_by_its_checksum() -> None:
+    data = small_mcap()
+    at = data.rindex(b"ros2msg")
+    flipped = data[:at] + b"r0s2msg" + data[at + 7 :]
+    summary = summarise_bytes(flipped)
+    assert (summary.content, summary.message_count) == (Content.indexed, 40)
+    assert summary.topics[0].schema_encoding == "ros2msg"
+    assert "checksum" in summary.problems[0].message
+
+
+def test_an_index_that_forgets_a_chunk_is_not_believed() -> None:
+    """The statistics say more messages than the chunks in the index hold."""
+    whole = small_mcap()
+    start = whole.index(bytes([records.CHUNK_INDEX]) + struct.pack("<Q", 78), len(whole) // 2)
+    at = len(whole) - len(records.MAGIC) - 4
+    without = whole[:start] + whole[start + 9 + 78 :]
+    at = len(without) - len(records.MAGIC) - 4
+    without = without[:at] + bytes(4) + without[at + 4 :]
+    summary = summarise_bytes(without)
+    assert (summary.content, summary.message_count) == (Content.indexed, 40)
+    assert [problem.code for problem in summary.problems] == ["counts-disagree"]
+
+
+def test_a_chunk_that_holds_more_than_it_claims() -> None:
+    """A bomb: 64 MB out of a few kilobytes, though 100 bytes were claimed."""
+    bomb = zstandard.compress(bytes(64 * 2**20))
+    summary = summarise_bytes(mcap_of(chunk(b"zstd", bomb, 100)))
+    assert summary.content is Content.broken
+    assert summary.reason is not None
+    assert "100 bytes" in summary.reason
+
+
+@pytest.mark.parametrize(
+    ("compression", "stored"),
+    [(b"zstd", b"rubbish rubbish rubbish"), (b"lz4", b"rubbish rubbish"), (b"lz4", b""), (b"zstd", b"")],
+)
+def test_rubbish_in_a_chunk(compression: bytes, stored: bytes) -> None:
+    summary = summarise_bytes(mcap_of(chunk(compression, stored, 1_000)))
+    assert summary.content is Content.broken
+    assert summary.reason is not None
+    assert summary.reason.startswith("the chunk at byte 25 is damaged")
+
+
+def test_a_compression_that_we_do_not_read_is_not_the_files_fault() -> None:
+    summary = summarise_bytes(mcap_of(chunk(b"brotli", b"x" * 50, 1_000)))
+    assert summary.content is Content.pending
+    assert summary.reason is not None
+    assert "'brotli'" in summary.reason
+
+
+def test_a_zstd_frame_that_wants_too_much_memory_is_not_the_files_fault() -> None:
+    parameters = zstandard.ZstdCompressionParameters(window_log=27)
+    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
+    stored = compressor.compress(b"x" * 1_000) + compressor.flush()
+    summary = summarise_bytes(mcap_of(chunk(b"zstd", stored, 1_000)))
+    assert summary.content is Content.pending
+
+
+def test_a_wrong_chunk_checksum_keeps_the_other_chunks() -> None:
+    data = small_mcap(Compression.none)
+    at = data.index(b"p" * 20)
+    unindexed = data[:at] + b"q" + data[at + 1 :]
+    footer_at = len(data) - records.FOOTER_BYTES + records.RECORD_HEAD.size
+    unindexed = unindexed[:footer_at] + bytes(20) + records.MAGIC
+    summary = summarise_bytes(unindexed)
+    assert summary.content is Content.broken
+    assert summary.message_count is not None
+    assert 0 < summary.message_count < 40
+    assert summary.reason is not None
+    assert "checksum" in summary.reason
+
+
+def test_more_channels_than_any_robot_has() -> None:
+    channels = b"".join(
+        record(records.CHANNEL, struct.pack("<HHI", number, 0, 5) + b"/" + b"%04x" % number + bytes(8))
+        for number in range(30_000)
+    )
+    summary = summarise_bytes(mcap_of(channels))
+    assert summary.content is Content.pending
+    assert len(summary.topics) <= 20_000
+
+
+def test_names_that_are_not_utf8_can_be_shown() -> None:
+    channel = record(records.CHANNEL, struct.pack("<HHI", 0, 0, 3) + b"/\xff\xfe" + bytes(8))
+    (topic,) = summarise_bytes(mcap_of(channel)).topics
+    assert topic.name == "/\ufffd\ufffd"
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("index_pos", HUGE), ("index_pos", 20), ("index_pos", 0), ("conn_count", 2**31), ("chunk_count", 2**31)],
+)
+def test_a_bag_header_that_lies(field: str, value: int) -> None:
+    data = small_bag()
+    at = data.index(field.encode() + b"=") + len(field) + 1
+    raw = struct.pack("<Q" if field == "index_pos" else "<I", value)
+    summary = summarise_bytes(data[:at] + raw + data[at + len(raw) :], "test.bag")
+    assert (summary.format, summary.content) == (RecordingFormat.rosbag1, Content.broken)
+    assert summary.reason
+
+
+@pytest.mark.parametrize("position", [0, HUGE, 2**64 - 1])
+def test_a_bag_index_that_points_elsewhere(position: int) -> None:
+    data = small_bag()
+    at = data.rindex(b"chunk_pos=") + len("chunk_pos=")
+    summary = summarise_bytes(data[:at] + struct.pack("<Q", position) + data[at + 8 :], "test.bag")
+    assert summary.content is Content.broken
+
+
+def test_a_bag_whose_index_data_contradict_its_chunk_info() -> None:
+    data = small_bag()
+    at = data.rindex(b"chunk_pos=")
+    count_at = len(data) - 4
+    assert count_at > at
+    summary = summarise_bytes(data[:count_at] + struct.pack("<I", 1) + data[count_at + 4 :], "test.bag")
+    assert (summary.content, summary.message_count) == (Content.indexed, 40)
+    assert [problem.code for problem in summary.problems] == ["counts-disagree"]
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "kind", "lies"),
+    [
+        (small_mcap(), "drive.bag", RecordingFormat.mcap, True),
+        (small_bag(), "drive.mcap", RecordingFormat.rosbag1, True),
+        (small_bag(), "drive.BAG", RecordingFormat.rosbag1, False),
+        (small_mcap(), "drive.svo2", RecordingFormat.mcap, False),
+        (small_mcap(), "drive.yaml", RecordingFormat.mcap, True),
+        (small_mcap(), "drive", RecordingFormat.mcap, False),
+        (b"\x89PNG\r\n\x1a\n\0\0", "drive.mcap", RecordingFormat.unknown, True),
+        (b"SQLite format 3\0" + bytes(200), "drive.db3", RecordingFormat.unknown, True),
+        (b"#ROSBAG V1.2\n", "old.bag", RecordingFormat.rosbag1_old, False),
+        (b"a,b\n1,2\n3,4\n", "t.csv", RecordingFormat.csv, False),
+        (b"robot: anymal\nyear: 2024\n", "m.yaml", RecordingFormat.yaml, False),
+        (b"1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt", RecordingFormat.kitti, False),
+        (b"# t x y z qx qy qz qw\n1 0 0 0 0 0 0 1\n", "poses.txt", RecordingFormat.tum, False),
+        (b"just words", "notes.txt", RecordingFormat.unknown, False),
+        (b"", "drive.mcap", RecordingFormat.empty, False),
+    ],
+)
+def test_the_content_says_what_a_file_is(data: bytes, name: str, kind: RecordingFormat, lies: bool) -> None:
+    summary = summarise_bytes(data, name)
+    assert summary.format is kind
+    assert ("extension-lies" in [problem.code for problem in summary.problems]) == lies
+
+
+def test_an_empty_file_says_so() -> None:
+    summary = summarise_bytes(b"")
+    assert (summary.content, summary.reason) == (Content.broken, "the file has 0 bytes")
+
+
+def test_only_the_magic_of_a_bag() -> None:
+    assert summarise_bytes(BAG_MAGIC, "a.bag").content is Content.broken

@@ -1,0 +1,115 @@
+"""The child process: gives the same summary, is stopped at its bounds, and its end is understood."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from kleinkram.recordings import (
+    CHILD_COMMAND,
+    CHILD_ENVIRONMENT,
+    Content,
+    FailureKind,
+    FileRequest,
+    FileSource,
+    SummaryFailed,
+    read_answer,
+    request_bytes,
+    summarise,
+    summarise_isolated,
+    timed_out,
+)
+from kleinkram.recordings.sample import generate_mcap
+
+from .test_hostile import chunk, mcap_of
+
+RECORD = b"\x80" + bytes(8)
+
+
+def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
+    with FileSource(truth.path) as source:
+        assert summarise_isolated(FileRequest(str(truth.path))) == summarise(source)
+
+
+def test_a_file_that_is_not_there() -> None:
+    with pytest.raises(SummaryFailed) as caught:
+        summarise_isolated(FileRequest("/nowhere/drive.mcap"))
+    assert caught.value.kind is FailureKind.source
+    assert "/nowhere/drive.mcap" in str(caught.value)
+
+
+def test_a_pipe_is_refused_rather_than_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(SummaryFailed, match="not a regular file"):
+        summarise_isolated(FileRequest(str(tmp_path / "pipe.mcap")))
+
+
+def test_a_file_that_wants_too_much_memory(tmp_path: Path) -> None:
+    """A zstd frame with a window of 64 MB, in a process that may have 64 MB in all."""
+    parameters = zstandard.ZstdCompressionParameters(window_log=26)
+    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
+    stored = compressor.compress(RECORD * 10) + compressor.flush()
+    path = tmp_path / "hungry.mcap"
+    path.write_bytes(mcap_of(chunk(b"zstd", stored, 90)))
+    assert summarise_isolated(FileRequest(str(path))).content is Content.indexed
+    with pytest.raises(SummaryFailed) as caught:
+        summarise_isolated(FileRequest(str(path)), memory_bytes=64 * 2**20)
+    assert caught.value.kind is FailureKind.memory
+
+
+def test_a_file_that_takes_too_long(tmp_path: Path) -> None:
+    """A few kilobytes that hold a hundred million empty records."""
+    size = len(RECORD) * 10_000_000
+    compressor = zstandard.ZstdCompressor().compressobj()
+    stored = b"".join(compressor.compress(RECORD * 100_000) for _ in range(100)) + compressor.flush()
+    path = tmp_path / "endless.mcap"
+    path.write_bytes(mcap_of(chunk(b"zstd", stored, size) * 10))
+    with pytest.raises(SummaryFailed) as caught:
+        summarise_isolated(FileRequest(str(path)), timeout_s=1)
+    assert caught.value.kind is FailureKind.time
+
+
+def test_a_crash_is_told_with_its_signal() -> None:
+    with pytest.raises(SummaryFailed) as caught:
+        read_answer(b"", b"", -signal.SIGSEGV)
+    assert (caught.value.kind, caught.value.signal) == (FailureKind.crash, signal.SIGSEGV)
+
+
+def test_processor_time_that_ran_out_is_a_matter_of_time() -> None:
+    with pytest.raises(SummaryFailed) as caught:
+        read_answer(b"", b"", -signal.SIGXCPU)
+    assert caught.value.kind is FailureKind.time
+    assert timed_out().kind is FailureKind.time
+
+
+def test_an_answer_that_cannot_be_understood() -> None:
+    with pytest.raises(SummaryFailed) as caught:
+        read_answer(b"[1, 2]\n", b"", 0)
+    assert caught.value.kind is FailureKind.crash
+
+
+def test_a_request_that_cannot_be_understood_ends_the_child() -> None:
+    done = subprocess.run(CHILD_COMMAND, input=b"{}", capture_output=True, env=CHILD_ENVIRONMENT, check=False)
+    with pytest.raises(SummaryFailed) as caught:
+        read_answer(done.stdout, done.stderr, done.returncode)
+    assert caught.value.kind is FailureKind.crash
+
+
+def test_the_child_sees_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment of the parent, with its credentials, does not reach the child."""
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "hunter2")
+    os.mkfifo(tmp_path / "requests")
+    child = subprocess.Popen(CHILD_COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=CHILD_ENVIRONMENT)
+    try:
+        environment = Path(f"/proc/{child.pid}/environ").read_bytes()
+    finally:
+        child.communicate(request_bytes(FileRequest("/nowhere")))
+    assert b"hunter2" not in environment
+    assert CHILD_COMMAND[0] == sys.executable
