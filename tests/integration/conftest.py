@@ -1,0 +1,62 @@
+"""The API for tests that speak HTTP with it: one for the whole session, or one with settings of its own."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alembic import command
+
+from kleinkram.server.migrations import alembic_config
+from tests.integration.running import Api, serving
+from tests.integration.sample import Sample
+from tests.stack import RunningPostgres, RunningStore
+
+StartApi = Callable[..., Api]
+
+
+@pytest.fixture(scope="session")
+def template_database(postgres: RunningPostgres) -> str:
+    """The name of a migrated, empty database to copy."""
+    name = postgres.create_database()
+    url = postgres.migrate_url(name).replace("postgresql://", "postgresql+psycopg://", 1)
+    command.upgrade(alembic_config(url, "kleinkram_serve"), "head")
+    return name
+
+
+@pytest.fixture(scope="session")
+def start_api(
+    postgres: RunningPostgres, store: RunningStore, template_database: str, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[StartApi]:
+    """A function that starts an API with a new database and bucket, given settings; it runs until the session ends."""
+    with ExitStack() as stack:
+
+        def start(**settings: Any) -> Api:
+            name = postgres.create_database(template=template_database)
+            stack.callback(postgres.drop_database, name)
+            values = {
+                "database_url": postgres.serve_url(name),
+                "s3_internal_url": store.endpoint,
+                "s3_bucket": store.create_bucket(),
+                "s3_region": store.region,
+                "s3_access_key": store.access_key,
+                "s3_secret_key": store.secret_key,
+                **settings,
+            }
+            folder: Path = tmp_path_factory.mktemp("api")
+            return stack.enter_context(serving(values, admin_url=postgres.migrate_url(name), folder=folder))
+
+        yield start
+
+
+@pytest.fixture(scope="session")
+def api(start_api: StartApi) -> Api:
+    """The session's API. Tests share it, so each makes a project of its own and looks at nothing else."""
+    return start_api()
+
+
+@pytest.fixture(scope="session")
+def sample(api: Api) -> Sample:
+    """Files put into missions behind the API's back, as if they had been uploaded and summarised."""
+    return Sample(api)
