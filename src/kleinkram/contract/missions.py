@@ -53,7 +53,8 @@ class MissionRead(BaseModel):
     """A mission and what it amounts to.
 
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
-    `metadata_problems` names what no longer satisfies the project's fields.
+    `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
+    content nobody has looked at yet.
     """
 
     model_config = ConfigDict(frozen=True)

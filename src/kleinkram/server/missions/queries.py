@@ -20,7 +20,6 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.files import ContentState
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -35,7 +34,7 @@ _LAST, _FIRST = 2**63 - 1, -(2**63)
 
 def _amounts() -> ColumnElement[Any]:
     # One look at the mission's files for all four numbers, and only for the rows that a page shows.
-    pending = func.count().filter(blob.c.content == ContentState.pending.value)
+    pending = func.count().filter(blob.c.summarised_at.is_(None))
     numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), pending)
     return (
         select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
