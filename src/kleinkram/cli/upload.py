@@ -134,7 +134,10 @@ def _transfer(
 
 def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -> None:
     deadline = time.monotonic() + seconds
-    while pending := client.missions.get(mission_id).pending_file_count:
+    while True:
+        mission = client.missions.get(mission_id)
+        if mission.pending_file_count == 0 and mission.recordings_current:
+            return
         if time.monotonic() > deadline:
-            raise TimedOut(what=f"Reading {pending} files", seconds=seconds)
+            raise TimedOut(what=f"Reading {mission.pending_file_count} files", seconds=seconds)
         time.sleep(_POLL_S)

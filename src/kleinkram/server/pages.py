@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
+from sqlalchemy.exc import DataError, ProgrammingError
 
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
@@ -66,7 +67,12 @@ async def fetch_page(db: Connection, statement: Select[Any], order: Order, reque
         row = tuple_(*order.columns)
         paged = paged.where(row < after if order.descending else row > after)
     paged = paged.order_by(*(column.desc() if order.descending else column.asc() for column in order.columns))
-    rows = (await db.execute(paged)).all()
+    try:
+        rows = (await db.execute(paged)).all()
+    except (DataError, ProgrammingError) as error:
+        if request.cursor:  # well-formed, but with values that this list's columns cannot have
+            raise InvalidCursor from error
+        raise
     more = len(rows) > request.limit
     items = rows[: request.limit]
     return Rows(items, _encode(items[-1], order) if more else None, total)

@@ -76,6 +76,7 @@ def to_mission(row: Row[Any]) -> MissionRead:
         size_bytes=size_bytes,
         message_count=message_count,
         pending_file_count=pending,
+        recordings_current=row.derived_revision == row.files_revision,
     )
 
 

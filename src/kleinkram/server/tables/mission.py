@@ -20,6 +20,9 @@ mission = Table(
     Column("completed_at", DateTime(timezone=True)),
     Column("start_ns", BigInteger),
     Column("end_ns", BigInteger),
+    # How often the set of files or what is known of them changed, and the count up to which recordings were derived.
+    Column("files_revision", BigInteger, nullable=False, server_default="0"),
+    Column("derived_revision", BigInteger, nullable=False, server_default="0"),
     created_at_column(),
     Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),
     Column("deleted_at", DateTime(timezone=True)),

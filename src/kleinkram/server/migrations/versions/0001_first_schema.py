@@ -153,6 +153,8 @@ def upgrade() -> None:
         sa.Column("completed_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("start_ns", sa.BigInteger(), nullable=True),
         sa.Column("end_ns", sa.BigInteger(), nullable=True),
+        sa.Column("files_revision", sa.BigInteger(), server_default="0", nullable=False),
+        sa.Column("derived_revision", sa.BigInteger(), server_default="0", nullable=False),
         sa.Column("created_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("created_by_id", sa.Uuid(), nullable=False),
         sa.Column("deleted_at", sa.DateTime(timezone=True), nullable=True),
