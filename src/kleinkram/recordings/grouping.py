@@ -1,7 +1,11 @@
 """Which files make one recording, by their names only.
 
-A rosbag2 folder (one with metadata.yaml) is one recording; so is a split set (`name_0.mcap`, `name_1.mcap`; ROS 1:
-`name_2024-05-01-10-00-00_0.bag`, `..._1.bag`). Every other recording file is a recording by itself.
+* rosbag2: a folder with metadata.yaml and data files (.mcap, .db3, also .zstd) of one stem, such as `run_0.mcap`,
+  `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
+* split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
+  recordings); for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
+  `prefix_2024-05-01-10-05-00_1.bag` ..., where a smaller number begins the next recording.
+* single: every other recording file.
 """
 
 from __future__ import annotations
@@ -14,9 +18,11 @@ from enum import Enum
 from pathlib import PurePosixPath
 
 METADATA_NAME = "metadata.yaml"
-_ROSBAG2_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
-_RECORDING_SUFFIXES = (*_ROSBAG2_SUFFIXES, ".bag")
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)(?P<suffix>\.(mcap|db3|bag)(\.zstd?)?)")
+_RECORDING = re.compile(r".*\.(bag|(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
+_ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
+_BAG = re.compile(
+    r"(?P<prefix>.*)(?P<time>\d{4}-\d\d-\d\d-\d\d-\d\d-\d\d)_(?P<number>\d+)\.bag", re.IGNORECASE | re.DOTALL
+)
 
 
 class GroupKind(str, Enum):
@@ -29,11 +35,12 @@ class GroupKind(str, Enum):
 
 @dataclass(frozen=True)
 class RecordingGroup:
-    """The files of one recording.
+    """The files of one recording. Name and kind together are unique among the groups of some paths.
 
     Attributes:
-        name: path without suffix of a file or of a split set; path of a rosbag2 folder ("." for the top).
-        members: paths of its data files; of a split set in the order of its numbers.
+        name: the path of a single file; the path of a rosbag2 folder ("." for the top); the common path of a split
+            set, "run.mcap" for `run_0.mcap` and so on.
+        members: paths of its data files, in the order of recording.
         metadata_path: the metadata.yaml of a rosbag2 folder; not among the members.
     """
 
@@ -45,58 +52,86 @@ class RecordingGroup:
 
 def is_recording_name(path: str) -> bool:
     """Say whether a file's name is that of a recording's data file."""
-    return path.lower().endswith(_RECORDING_SUFFIXES)
+    return _RECORDING.fullmatch(path) is not None
 
 
 def group(paths: Iterable[str]) -> list[RecordingGroup]:
     """Group relative POSIX paths into recordings, sorted by name. Paths that are none belong to no group."""
     folders: dict[str, list[str]] = defaultdict(list)
+    metadata: dict[str, str] = {}
     for path in sorted(set(paths)):
-        folders[str(PurePosixPath(path).parent)].append(path)
-    groups: list[RecordingGroup] = []
-    for folder, members in folders.items():
-        groups += _group_folder(folder, members)
-    return sorted(groups, key=lambda found: (found.name, found.members))
+        folder, _, name = path.rpartition("/")
+        if is_recording_name(name):
+            folders[folder].append(path)
+        elif name == METADATA_NAME:
+            metadata[folder] = path
+    groups = [found for folder, names in folders.items() for found in _group_folder(folder, names, metadata)]
+    return sorted(groups, key=lambda found: (found.name, found.kind.value))
 
 
-def _group_folder(folder: str, paths: list[str]) -> list[RecordingGroup]:
-    metadata = next((path for path in paths if PurePosixPath(path).name == METADATA_NAME), None)
-    left = [path for path in paths if is_recording_name(path)]
-    groups: list[RecordingGroup] = []
-    members = [path for path in left if path.lower().endswith(_ROSBAG2_SUFFIXES)]
-    if metadata is not None and members:
-        members.sort(key=_split_order)
-        groups.append(RecordingGroup(folder, GroupKind.rosbag2, tuple(members), metadata))
-        left = [path for path in left if path not in set(members)]
-    return groups + _group_splits(left)
-
-
-def _group_splits(paths: list[str]) -> list[RecordingGroup]:
-    sets: dict[tuple[str, str], list[str]] = defaultdict(list)
-    groups: list[RecordingGroup] = []
+def _group_folder(folder: str, paths: list[str], metadata: dict[str, str]) -> list[RecordingGroup]:
+    sets: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
+    bags: list[str] = []
     for path in paths:
-        match = _SPLIT.fullmatch(path)
-        if match:
-            sets[match["stem"], match["suffix"]].append(path)
+        match = _ROSBAG2.fullmatch(path)
+        if match is None:
+            bags.append(path)
         else:
-            groups.append(_single(path))
-    for (stem, _suffix), members in sets.items():
-        if len(members) == 1:
-            groups.append(_single(members[0]))
-        else:
-            groups.append(RecordingGroup(stem, GroupKind.split_set, tuple(sorted(members, key=_split_order))))
+            sets[match["stem"], match["suffix"]].append((int(match["number"] or 0), path))
+    groups = _group_bags(bags)
+    own = _stem_of_folder(folder, {stem for stem, _ in sets}) if folder in metadata else None
+    if own is not None:
+        members = sorted(member for (stem, _), found in sets.items() if stem == own for member in found)
+        names = tuple(path for _, path in members)
+        groups.append(RecordingGroup(folder or ".", GroupKind.rosbag2, names, metadata[folder]))
+    for (stem, suffix), found in sets.items():
+        if stem != own:
+            groups += _group_split(f"{stem}{suffix}", sorted(found))
     return groups
 
 
+def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
+    """Return the stem whose files are those that the folder's metadata.yaml is about."""
+    if len(stems) == 1:
+        return next(iter(stems))
+    named_alike = f"{folder}/{PurePosixPath(folder).name}"
+    return named_alike if named_alike in stems else None
+
+
+def _group_split(name: str, members: list[tuple[int, str]]) -> list[RecordingGroup]:
+    if len(members) > 1 and members[0][0] == 0:
+        return [RecordingGroup(name, GroupKind.split_set, tuple(path for _, path in members))]
+    return [_single(path) for _, path in members]
+
+
+def _group_bags(paths: list[str]) -> list[RecordingGroup]:
+    sets: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
+    groups: list[RecordingGroup] = []
+    for path in paths:
+        match = _BAG.fullmatch(path)
+        if match is None:
+            groups.append(_single(path))
+        else:
+            sets[match["prefix"]].append((match["time"], int(match["number"]), path))
+    for members in sets.values():
+        groups += _group_bag_splits(sorted(members))
+    return groups
+
+
+def _group_bag_splits(members: list[tuple[str, int, str]]) -> list[RecordingGroup]:
+    """Cut bags of one prefix, in the order of their times, where the number does not grow."""
+    recordings: list[list[str]] = []
+    previous = -1
+    for _time, number, path in members:
+        if number <= previous or not recordings:
+            recordings.append([])
+        recordings[-1].append(path)
+        previous = number
+    return [
+        RecordingGroup(found[0], GroupKind.split_set, tuple(found)) if len(found) > 1 else _single(found[0])
+        for found in recordings
+    ]
+
+
 def _single(path: str) -> RecordingGroup:
-    return RecordingGroup(_without_suffix(path), GroupKind.single, (path,))
-
-
-def _without_suffix(path: str) -> str:
-    suffix = max((s for s in _RECORDING_SUFFIXES if path.lower().endswith(s)), key=len)
-    return path[: -len(suffix)]
-
-
-def _split_order(path: str) -> tuple[str, int, str]:
-    match = _SPLIT.fullmatch(path)
-    return (match["stem"], int(match["number"]), path) if match else (path, -1, path)
+    return RecordingGroup(path, GroupKind.single, (path,))

@@ -1,0 +1,135 @@
+"""Which files make one recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings import GroupKind, RecordingGroup, compare_members, group, parse_rosbag2_metadata
+
+from .corpus import Entry, params
+
+SINGLE, SPLIT, ROSBAG2 = GroupKind.single, GroupKind.split_set, GroupKind.rosbag2
+
+
+def shape(paths: list[str]) -> list[tuple[str, GroupKind, tuple[str, ...]]]:
+    return [(found.name, found.kind, found.members) for found in group(paths)]
+
+
+def test_single_files() -> None:
+    assert shape(["b.bag", "a.mcap", "a.bag", "notes.txt", "cam/front.png"]) == [
+        ("a.bag", SINGLE, ("a.bag",)),
+        ("a.mcap", SINGLE, ("a.mcap",)),
+        ("b.bag", SINGLE, ("b.bag",)),
+    ]
+
+
+def test_a_rosbag2_folder_is_one_recording_in_the_order_of_its_numbers() -> None:
+    paths = ["x/run/run_10.mcap", "x/run/run_9.mcap", "x/run/metadata.yaml", "x/run/run_0.mcap"]
+    assert group(paths) == [
+        RecordingGroup(
+            "x/run",
+            ROSBAG2,
+            ("x/run/run_0.mcap", "x/run/run_9.mcap", "x/run/run_10.mcap"),
+            "x/run/metadata.yaml",
+        )
+    ]
+
+
+def test_a_rosbag2_folder_may_call_its_file_anything() -> None:
+    assert shape(["bag/metadata.yaml", "bag/test.db3"]) == [("bag", ROSBAG2, ("bag/test.db3",))]
+    assert shape(["metadata.yaml", "test_0.db3.zstd"]) == [(".", ROSBAG2, ("test_0.db3.zstd",))]
+
+
+def test_a_metadata_file_beside_many_recordings_is_not_theirs() -> None:
+    """A mission's own metadata, say."""
+    assert [kind for _, kind, _ in shape(["metadata.yaml", "a.mcap", "b.mcap"])] == [SINGLE, SINGLE]
+
+
+def test_a_stranger_in_a_rosbag2_folder_stays_outside() -> None:
+    assert shape(["run/metadata.yaml", "run/run_0.mcap", "run/other.mcap", "run/old.bag"]) == [
+        ("run", ROSBAG2, ("run/run_0.mcap",)),
+        ("run/old.bag", SINGLE, ("run/old.bag",)),
+        ("run/other.mcap", SINGLE, ("run/other.mcap",)),
+    ]
+
+
+def test_metadata_alone_is_no_recording() -> None:
+    assert group(["run/metadata.yaml"]) == []
+
+
+def test_a_split_set_without_metadata() -> None:
+    paths = ["m/run_0.db3", "m/run_1.db3", "m/run_2.db3"]
+    assert shape(paths) == [("m/run.db3", SPLIT, tuple(paths))]
+
+
+def test_numbered_recordings_are_not_a_split_set() -> None:
+    assert [kind for _, kind, _ in shape(["run_1.mcap", "run_2.mcap"])] == [SINGLE, SINGLE]
+    assert [kind for _, kind, _ in shape(["run_0.bag", "run_1.bag"])] == [SINGLE, SINGLE]
+
+
+def test_same_numbers_in_two_folders_or_formats_are_apart() -> None:
+    assert len(shape(["a/run_0.mcap", "b/run_1.mcap"])) == 2
+    assert [kind for _, kind, _ in shape(["run_0.mcap", "run_1.mcap", "run_0.db3", "run_1.db3"])] == [SPLIT, SPLIT]
+
+
+def test_split_bags() -> None:
+    first = ["field_2024-05-01-10-00-00_0.bag", "field_2024-05-01-10-05-00_1.bag"]
+    second = ["field_2024-05-01-11-00-00_0.bag", "field_2024-05-01-11-05-00_1.bag"]
+    alone = "field_2024-05-01-12-00-00_0.bag"
+    assert shape([alone, *second, *first]) == [
+        (first[0], SPLIT, tuple(first)),
+        (second[0], SPLIT, tuple(second)),
+        (alone, SINGLE, (alone,)),
+    ]
+
+
+def test_names_and_kinds_are_unique() -> None:
+    paths = ["run.mcap", "run_0.mcap", "run_1.mcap", "run.bag", "RUN.mcap", "run.db3", "x/metadata.yaml", "x/x.db3"]
+    names = [(name, kind) for name, kind, _ in shape(paths)]
+    assert len(names) == len(set(names))
+    assert sum(len(members) for _, _, members in shape(paths)) == 7
+
+
+@pytest.mark.parametrize("entry", params("rosbag2 metadata.yaml") + params("rosbag2 metadata.yaml", broken=True))
+def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None:
+    expected = entry.expected
+    found = parse_rosbag2_metadata((recordings_dir / entry.name).read_text())
+    assert found is not None
+    assert (found.message_count, found.duration_ns) == (expected["messages_claimed"], expected["duration_ns_claimed"])
+    assert (found.storage, list(found.files)) == (expected["storage"], expected["files"])
+    assert [found.compression, found.compression_mode] == [
+        (word and word.lower()) or "" for word in expected["compression"]
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[",
+        "a: b",
+        "rosbag2_bagfile_information: 3",
+        "rosbag2_bagfile_information: {}",
+        "\t\x00",
+        "- 1\n- 2",
+        "&a [*a]",
+    ],
+)
+def test_what_is_no_metadata(text: str) -> None:
+    assert parse_rosbag2_metadata(text) is None
+
+
+def test_odd_metadata_are_read_as_far_as_they_go() -> None:
+    text = "rosbag2_bagfile_information:\n  message_count: many\n  files:\n    - path: a.db3\n    - 3\n"
+    found = parse_rosbag2_metadata(text)
+    assert found is not None
+    assert (found.files, found.message_count, found.storage) == (("a.db3",), None, None)
+
+
+def test_missing_and_surplus_members() -> None:
+    found = parse_rosbag2_metadata("rosbag2_bagfile_information:\n  relative_file_paths: [a_0.db3, a_1.db3]\n")
+    assert found is not None
+    problems = [(problem.code, problem.where) for problem in compare_members(found, ["a_1.db3", "a_2.db3"])]
+    assert problems == [("member-missing", "a_0.db3"), ("member-surplus", "a_2.db3")]

@@ -1,0 +1,130 @@
+"""`inspect_paths` and `combine`: recordings of several files as one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings import (
+    Content,
+    FileSource,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+    combine,
+    summarise,
+)
+from kleinkram.recordings.inspect import InspectionKind, inspect_paths, to_plain
+from kleinkram.recordings.sample import SampleFormat, generate_mission
+
+T0 = 1_700_000_000_000_000_000
+
+
+def member(first_ns: int, last_ns: int, count: int = 11, gap_ns: int = 10) -> RecordingSummary:
+    topic = TopicSummary("/t", "a/B", "a/B", "ros2msg", "cdr", count, first_ns, last_ns, longest_gap_ns=gap_ns)
+    topic = replace(topic, out_of_order_count=1, stored_bytes=100)
+    return RecordingSummary(
+        RecordingFormat.mcap,
+        Content.indexed,
+        message_count=count,
+        start_ns=first_ns,
+        end_ns=last_ns,
+        compression=("zstd",),
+        topics=(topic,),
+    )
+
+
+def test_silence_between_members_is_a_gap() -> None:
+    whole = combine([member(T0, T0 + 100), member(T0 + 600, T0 + 700)])
+    (topic,) = whole.topics
+    assert (whole.start_ns, whole.end_ns, whole.message_count) == (T0, T0 + 700, 22)
+    assert (topic.count, topic.longest_gap_ns, topic.out_of_order_count, topic.stored_bytes) == (22, 500, 2, 200)
+    assert topic.rate_hz == pytest.approx(21 / 700e-9)
+
+
+def test_members_may_come_in_any_order() -> None:
+    one, two = member(T0, T0 + 100), member(T0 + 600, T0 + 700)
+    assert combine([one, two]).topics == combine([two, one]).topics
+
+
+def test_head_and_tail_gaps_are_those_of_the_whole() -> None:
+    other = TopicSummary("/u", "a/B", "a/B", "", "cdr", 1, T0 + 650, T0 + 650)
+    second = member(T0 + 600, T0 + 700)
+    whole = combine([member(T0, T0 + 100), replace(second, topics=(*second.topics, other), message_count=12)])
+    assert [(t.name, t.head_gap_ns, t.tail_gap_ns) for t in whole.topics] == [("/t", 0, 0), ("/u", 650, 50)]
+
+
+def test_a_member_whose_clock_was_never_set_does_not_stretch_the_span() -> None:
+    whole = combine([member(5, 50, count=3), member(T0, T0 + 100)])
+    assert (whole.start_ns, whole.end_ns, whole.message_count) == (T0, T0 + 100, 14)
+    assert whole.topics[0].suspect_count == 3
+
+
+def test_the_worst_member_decides() -> None:
+    broken = replace(member(T0, T0 + 10), content=Content.broken, reason="cut")
+    pending = RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, "not read")
+    whole = combine([member(T0, T0 + 10), broken, pending])
+    assert (whole.content, whole.reason, whole.message_count) == (Content.broken, "cut", None)
+
+
+def test_one_member_is_the_whole() -> None:
+    assert combine([member(T0, T0 + 10)]) == member(T0, T0 + 10)
+    with pytest.raises(ValueError, match="at least one"):
+        combine([])
+
+
+def test_combined_splits_equal_the_whole_recording(recordings_dir: Path) -> None:
+    folder = recordings_dir / "mcap/split_wbag"
+    (found,) = inspect_paths([folder])
+    assert found.kind is InspectionKind.recording
+    assert found.members == tuple(str(folder / f"wbag_{number}.mcap") for number in range(5))
+    assert (found.summary.message_count, found.summary.content) == (6074, Content.indexed)
+    assert (found.summary.start_ns, found.summary.end_ns) == (1000, 2998)
+    assert sum(topic.count or 0 for topic in found.summary.topics) == 6074
+
+
+def test_missing_members_are_named(recordings_dir: Path) -> None:
+    (found,) = inspect_paths([recordings_dir / "derived/split_missing_file"])
+    assert [(p.code, p.where) for p in found.summary.problems] == [("member-missing", "wbag_2.mcap")]
+
+
+def test_metadata_that_disagree_are_told(recordings_dir: Path) -> None:
+    (found,) = inspect_paths([recordings_dir / "derived/metadata_wrong_counts"])
+    assert [p.code for p in found.summary.problems] == ["metadata-disagrees"]
+
+
+def test_a_folder_shows_each_recording_inside(tmp_path: Path) -> None:
+    mission = generate_mission(tmp_path / "mission", duration_s=1, formats=[SampleFormat.mcap, SampleFormat.db3])
+    (tmp_path / "mission/notes.txt").write_text("sunny")
+    found = inspect_paths([tmp_path / "mission", tmp_path / "mission/notes.txt"])
+    assert [(Path(i.path).name, i.kind, i.summary.content) for i in found] == [
+        ("drive.mcap", InspectionKind.file, Content.indexed),
+        ("drive_rosbag2", InspectionKind.recording, Content.pending),
+        ("notes.txt", InspectionKind.file, Content.opaque),
+    ]
+    with FileSource(mission.files[0].path) as source:
+        assert found[0].summary == summarise(source)
+
+
+def test_the_plain_shape(tmp_path: Path) -> None:
+    generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
+    (plain,) = [to_plain(found) for found in inspect_paths([tmp_path / "drive.mcap"])]
+    assert json.loads(json.dumps(plain)) == plain
+    assert list(plain) == [
+        "path", "kind", "members", "format", "content", "reason", "problems", "message_count", "start_ns", "end_ns",
+        "compression", "topics",
+    ]  # fmt: skip
+    topics = plain["topics"]
+    assert isinstance(topics, list)
+    assert list(topics[0]) == [
+        "name", "type", "message_encoding", "count", "first_ns", "last_ns", "rate_hz", "longest_gap_ns",
+        "head_gap_ns", "tail_gap_ns", "out_of_order",
+    ]  # fmt: skip
+
+
+def test_a_path_that_is_not_there() -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        inspect_paths(["/nowhere"])
