@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import psycopg
 import urllib3
@@ -62,7 +63,7 @@ class Api:
             sent["Content-Type"] = "application/json"
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
         pairs = list(query.items()) if isinstance(query, Mapping) else list(query)
-        address = f"{self.url}/api/v1{path}" + (f"?{urllib3.request.urlencode(pairs)}" if pairs else "")
+        address = f"{self.url}/api/v1{path}" + (f"?{urlencode(pairs)}" if pairs else "")
         answer = self._pool.request(method, address, body=data, headers=sent)
         parsed = json.loads(answer.data) if answer.data else None
         return Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
@@ -143,7 +144,8 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path) -> Ite
     try:
         deadline = time.monotonic() + 30
         while not server.started:
-            assert thread.is_alive() and time.monotonic() < deadline, "the API did not start"
+            assert thread.is_alive(), "the API did not start; the log says why"
+            assert time.monotonic() < deadline, "the API took too long to start"
             thread.join(0.01)
         yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, admin_url)
     finally:

@@ -1,5 +1,6 @@
 """Files, recordings and topics put straight into the database, for tests of what is done with them later."""
 
+import datetime
 import hashlib
 import json
 import uuid
@@ -43,6 +44,7 @@ class Sample:
             "uploaded_by_id": OWNER_ID,
             "content": "indexed",
             "format": "mcap",
+            "summarised_at": datetime.datetime.now(datetime.timezone.utc),
             **given,
         }
         self._insert("blob", values)

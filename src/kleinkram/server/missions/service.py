@@ -200,7 +200,7 @@ async def _judged_changes(
     db: Connection, actor: Actor, old: MissionRead, *, changes: MissionUpdate, document: Document | None
 ) -> dict[str, Any]:
     project_id = changes.project_id or old.project.id
-    if document is None and project_id == old.project.id:
+    if project_id == old.project.id and changes.metadata_yaml in (None, old.metadata_yaml):
         return {}
     _, fields = await _project(db, actor, project_id)
     values: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}

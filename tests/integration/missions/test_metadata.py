@@ -1,0 +1,207 @@
+"""Required metadata: judged on the server before anything else, everything wrong told at once."""
+
+import math
+
+import pytest
+
+from tests.integration.running import Api
+
+FIELDS = """\
+undeclared: refuse
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Who walked.}
+  - {name: operator, type: string, pattern: '[a-z]+', required: true}
+  - {name: temperature, type: number, unit: degC, default: 12.5 degC}
+  - {name: indoors, type: boolean}
+  - {name: day, type: date}
+  - {name: site, type: location}
+  - {name: report, type: link}
+"""
+
+
+@pytest.fixture(scope="module")
+def project_id(api: Api) -> str:
+    made: str = api.project(fields_yaml=FIELDS)["id"]
+    return made
+
+
+def test_what_satisfies_is_stored_in_one_form(api: Api, project_id: str) -> None:
+    text = (
+        "robot: anymal\noperator: ada\ntemperature: -3.5 degC\nindoors: false\nday: 2024-05-31 14:00+02:00\n"
+        "site: {latitude: 47.4, longitude: 8}\nreport: https://example.org/a?b=c\n"
+    )
+    made = api.mission(project_id, metadata_yaml=text)
+    assert made["metadata"] == {
+        "robot": "anymal",
+        "operator": "ada",
+        "temperature": -3.5,
+        "indoors": False,
+        "day": "2024-05-31T12:00:00+00:00",
+        "site": {"latitude": 47.4, "longitude": 8.0},
+        "report": "https://example.org/a?b=c",
+    }
+    assert made["metadata_yaml"] == text
+
+
+def test_what_is_left_out_takes_its_default(api: Api, project_id: str) -> None:
+    made = api.mission(project_id, metadata_yaml="robot: spot\noperator: ada\nday:\nsite: Zürich\n")
+    assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 12.5, "site": "Zürich"}
+
+
+def test_without_metadata_all_that_is_required_is_named(api: Api, project_id: str) -> None:
+    path = f"/projects/{project_id}/missions"
+    for body in (
+        {"name": "never"},
+        {"name": "never", "metadata_yaml": ""},
+        {"name": "never", "metadata_yaml": "# -\n"},
+    ):
+        problem = api.post(path, body).refused(422, "metadata_invalid")
+        assert [one["field"] for one in problem["problems"]] == ["robot", "operator"]
+        assert "anymal, spot" in problem["detail"]
+    assert api.all("/missions", {"project_id": project_id, "name": "never"}) == []
+
+
+def test_everything_wrong_is_told_at_once_with_its_place(api: Api, project_id: str) -> None:
+    text = (
+        "robt: anymal\n"
+        "operator: Ada\n"
+        "temperature: 20 K\n"
+        "indoors: yes\n"
+        "day: 31.5.2024\n"
+        "site: {latitude: 91, longitude: 8}\n"
+        "report: ftp://example.org\n"
+    )
+    body = {"name": "never", "metadata_yaml": text}
+    problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")
+    told = [(one["field"], one.get("line"), one.get("column")) for one in problem["problems"]]
+    assert told == [
+        ("robt", 1, 1),
+        ("operator", 2, 1),
+        ("temperature", 3, 1),
+        ("indoors", 4, 1),
+        ("day", 5, 1),
+        ("site.latitude", 6, 8),
+        ("report", 7, 1),
+        ("robot", None, None),
+    ]
+    messages = {one["field"]: one["message"] for one in problem["problems"]}
+    assert "'robot'" in messages["robt"]
+    assert "'degC'" in messages["temperature"]
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "word"),
+    [
+        ("temperature: warm", "temperature", "number"),
+        ("temperature: true", "temperature", "number"),
+        ("temperature: .nan", "temperature", "finite"),
+        ("temperature: -.inf", "temperature", "finite"),
+        ("temperature: 1e999", "temperature", "finite"),
+        ("temperature: [1]", "temperature", "list"),
+        ("operator: 7", "operator", "quotes"),
+        ('operator: "ada\\n"', "operator", "pattern"),
+        ("indoors: 1", "indoors", "true or false"),
+        ("day: 2024-02-30", "day", "date"),
+        ("day: 2024", "day", "date"),
+        ("site: {latitude: 1}", "site.longitude", "required"),
+        ("site: {latitude: 1, longitude: .nan}", "site.longitude", "finite"),
+        ("site: 5", "site", "place"),
+        ("report: example.org", "report", "address"),
+        ("robot: anymall", "robot", "'anymal'"),
+        ("Robot: anymal", "Robot", "'robot'"),
+    ],
+)
+def test_a_wrong_value_is_named(api: Api, project_id: str, line: str, field: str, word: str) -> None:
+    good = {"robot": "robot: spot", "operator": "operator: ada"}
+    given = [text for name, text in good.items() if name != line.split(":")[0].lower()]
+    problem = api.post(
+        f"/projects/{project_id}/missions", {"name": "never", "metadata_yaml": "\n".join([*given, line])}
+    ).refused(422, "metadata_invalid")
+    first = problem["problems"][0]
+    assert first["field"] == field
+    assert word in first["message"]
+    assert first["line"] == len(given) + 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "word"),
+    [
+        ("robot: [anymal\n", 2, 1, "expected"),
+        ("robot: anymal\n\toperator: ada\n", 2, 1, "cannot start any token"),
+        ("robot: spot: anymal\n", 1, 12, "not allowed"),
+        ("robot: spot\nrobot: anymal\n", 2, 1, "twice"),
+        ("a: &x [1]\nb: *x\n", 1, 4, "anchors"),
+        ("a: !!python/object:os.system x\n", 1, 4, "tags"),
+        ("- a\n- b\n", 1, 1, "list"),
+        ("a\x00b: 1\n", 1, 2, "U+0000"),
+        ('a: "\\0"\n', 1, 4, "U+0000"),
+        ('a: "\\ud800"\n', 1, 4, "U+D800"),
+        ("a: 1\n---\nb: 2\n", 2, 1, "second document"),
+        ("a: " + "[" * 100, 1, 24, "nested"),
+        ("a: 99999999999999999999\n", 1, 4, "too large"),
+        ("? [a]\n: b\n", 1, 3, "key"),
+    ],
+)
+def test_yaml_that_cannot_be_read_names_line_and_column(api: Api, text: str, line: int, column: int, word: str) -> None:
+    body = {"name": "never", "metadata_yaml": text}
+    problem = api.post(f"/projects/{api.project()['id']}/missions", body).refused(422, "yaml_invalid")
+    assert (problem["line"], problem["column"]) == (line, column)
+    assert word in problem["reason"]
+
+
+def test_undeclared_fields_are_kept_where_the_project_accepts_them(api: Api) -> None:
+    text = "wheels: [4, {size: 1.5}]\nserial: '007'\nempty: null\nyes: no\n"
+    made = api.mission(api.project()["id"], metadata_yaml=text)
+    assert made["metadata"] == {"wheels": [4, {"size": 1.5}], "serial": "007", "empty": None, "yes": "no"}
+    assert math.isclose(made["metadata"]["wheels"][1]["size"], 1.5)
+
+
+def test_undeclared_numbers_must_be_finite(api: Api) -> None:
+    body = {"name": "never", "metadata_yaml": "a: {b: [.inf]}\n"}
+    problem = api.post(f"/projects/{api.project()['id']}/missions", body).refused(422, "metadata_invalid")
+    assert [one["field"] for one in problem["problems"]] == ["a.b.0"]
+
+
+def test_a_text_longer_than_allowed_is_refused(api: Api) -> None:
+    body = {"name": "never", "metadata_yaml": "#" * 200_001}
+    problem = api.post(f"/projects/{api.project()['id']}/missions", body).refused(422, "invalid_request")
+    assert problem["problems"][0]["field"] == "body.metadata_yaml"
+
+
+def test_wrong_metadata_leaves_a_mission_as_it_was(api: Api, project_id: str) -> None:
+    made = api.mission(project_id, metadata_yaml="robot: spot\noperator: ada\n")
+    api.patch(f"/missions/{made['id']}", {"name": "other", "metadata_yaml": "robot: x\n"}).refused(
+        422, "metadata_invalid"
+    )
+    assert api.get(f"/missions/{made['id']}").ok() == made
+
+
+def test_the_template_is_valid_once_the_required_fields_are_filled_in(api: Api) -> None:
+    project = api.project(fields_yaml=FIELDS)
+    template = api.get(f"/projects/{project['id']}/template").ok()
+    assert template["prefilled_from"] is None
+    assert "# robot (required): one of: anymal, spot\n#   Who walked.\nrobot:\n" in template["yaml"]
+    assert "# temperature (optional): a number in degC\ntemperature: 12.5\n" in template["yaml"]
+    filled = template["yaml"].replace("robot:\n", "robot: spot\n").replace("operator:\n", "operator: ada\n")
+    made = api.mission(project["id"], metadata_yaml=filled)
+    assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 12.5}
+
+
+def test_the_template_takes_over_the_last_mission(api: Api) -> None:
+    project = api.project(fields_yaml=FIELDS)
+    api.mission(project["id"], metadata_yaml="robot: anymal\noperator: bob\n")
+    text = 'robot: spot\noperator: ada\nday: 2024-05-31\nsite: {latitude: 1, longitude: 2, name: "a: b # c 🗻"}\n'
+    last = api.mission(project["id"], metadata_yaml=text)
+    template = api.get(f"/projects/{project['id']}/template").ok()
+    assert template["prefilled_from"]["id"] == last["id"]
+    assert api.mission(project["id"], metadata_yaml=template["yaml"])["metadata"] == last["metadata"]
+
+
+def test_the_template_leaves_out_what_no_longer_fits_and_keeps_what_was_not_declared(api: Api) -> None:
+    project = api.project()
+    api.mission(project["id"], metadata_yaml='robot: husky\n"on: #1": [a, {b: "true"}]\n')
+    fields = "fields:\n  - {name: robot, type: choice, choices: [spot]}\n"
+    api.patch(f"/projects/{project['id']}", {"fields_yaml": fields}).ok()
+    template = api.get(f"/projects/{project['id']}/template").ok()
+    made = api.mission(project["id"], metadata_yaml=template["yaml"])
+    assert made["metadata"] == {"on: #1": ["a", {"b": "true"}]}
