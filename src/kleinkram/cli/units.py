@@ -1,0 +1,99 @@
+"""Sizes, rates and times between people and numbers."""
+
+import datetime
+import re
+
+from kleinkram.client.errors import InvalidInput
+
+_SIZE = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[kmgt]?)(?P<binary>i?)b?(?:/s)?", re.IGNORECASE)
+_POWERS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
+_NS = 1_000_000_000
+
+
+def parse_size(text: str) -> int:
+    """Return bytes of `200MB`, `10M`, `8MiB`, `1500`; units are decimal unless they say `i`.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    match = _SIZE.fullmatch(text.strip())
+    if match is None:
+        raise InvalidInput(
+            what=f"The size {text!r}", reason="say bytes, or a number with k, M, G, T or KiB, MiB, GiB, TiB"
+        )
+    base = 1024 if match["binary"] else 1000
+    return int(float(match["number"]) * base ** _POWERS[match["unit"].lower()])
+
+
+def parse_rate(text: str | None) -> float | None:
+    """Return bytes a second of `10M`; None for no limit.
+
+    Raises:
+        InvalidInput: it is none, or zero.
+    """
+    if text is None:
+        return None
+    rate = parse_size(text)
+    if rate <= 0:
+        raise InvalidInput(what="The rate", reason="it must be above zero")
+    return float(rate)
+
+
+def parse_time(text: str | None) -> datetime.datetime | None:
+    """Return a time of `2026-05-01` or `2026-05-01T10:00:00+02:00`; UTC unless it says otherwise.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    if text is None:
+        return None
+    try:
+        at = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
+    except ValueError:
+        raise InvalidInput(what=f"The time {text!r}", reason="say it as 2026-05-01 or 2026-05-01T10:00:00Z") from None
+    return at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
+
+
+def size(size_bytes: int | None) -> str | None:
+    """Return bytes as a person reads them."""
+    if size_bytes is None:
+        return None
+    value = float(size_bytes)
+    for unit in ("B", "kB", "MB", "GB", "TB"):
+        if value < 1000 or unit == "TB":
+            return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
+        value /= 1000
+    return None
+
+
+def duration(nanoseconds: int | None) -> str | None:
+    """Return a span as a person reads it."""
+    if nanoseconds is None:
+        return None
+    seconds = nanoseconds / _NS
+    if seconds < 60:
+        return f"{seconds:.3f} s" if seconds < 10 else f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def instant(nanoseconds: int | None) -> str | None:
+    """Return a log time (nanoseconds since 1970) in UTC, to the millisecond."""
+    if nanoseconds is None:
+        return None
+    try:
+        at = datetime.datetime.fromtimestamp(nanoseconds // _NS, datetime.timezone.utc)
+    except (ValueError, OverflowError, OSError):
+        return f"{nanoseconds} ns"
+    return f"{at:%Y-%m-%dT%H:%M:%S}.{nanoseconds % _NS // 1_000_000:03d}Z"
+
+
+def span(start_ns: int | None, end_ns: int | None) -> str | None:
+    """Return how long it is from start to end."""
+    return None if start_ns is None or end_ns is None else duration(end_ns - start_ns)
+
+
+def rate(hertz: float | None) -> str | None:
+    """Return a rate as a person reads it."""
+    return None if hertz is None else f"{hertz:.2f} Hz"
