@@ -176,6 +176,15 @@ def test_wrong_metadata_leaves_a_mission_as_it_was(api: Api, project_id: str) ->
     assert api.get(f"/missions/{made['id']}").ok() == made
 
 
+def test_the_same_metadata_is_judged_anew_by_changed_fields(api: Api) -> None:
+    project = api.project()
+    made = api.mission(project["id"], metadata_yaml="colour: red\n")
+    api.patch(f"/projects/{project['id']}", {"fields_yaml": FIELDS}).ok()
+    answer = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "colour: red\n"})
+    problem = answer.refused(422, "metadata_invalid")
+    assert [one["field"] for one in problem["problems"]] == ["colour", "robot", "operator"]
+
+
 def test_the_template_is_valid_once_the_required_fields_are_filled_in(api: Api) -> None:
     project = api.project(fields_yaml=FIELDS)
     template = api.get(f"/projects/{project['id']}/template").ok()

@@ -200,13 +200,16 @@ async def _judged_changes(
     db: Connection, actor: Actor, old: MissionRead, *, changes: MissionUpdate, document: Document | None
 ) -> dict[str, Any]:
     project_id = changes.project_id or old.project.id
-    if project_id == old.project.id and changes.metadata_yaml in (None, old.metadata_yaml):
+    if document is None and project_id == old.project.id:
         return {}
     _, fields = await _project(db, actor, project_id)
     values: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
     if document is None:
         return values | {"metadata_problems": _problems(Judge(fields), old.metadata)}
     metadata = satisfying(document, fields)
+    held = (old.metadata, old.metadata_yaml, old.metadata_problems)
+    if not values and held == (metadata, changes.metadata_yaml, []):
+        return {}
     return values | {"metadata": metadata, "metadata_yaml": changes.metadata_yaml, "metadata_problems": []}
 
 

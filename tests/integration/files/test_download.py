@@ -1,0 +1,66 @@
+"""Download links: good for reading the bytes from the store itself, and noted in the record."""
+
+import asyncio
+import uuid
+
+import pytest
+import urllib3
+
+from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.server.storage import open_storage
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+
+@pytest.fixture(name="mission")
+def _mission(api: Api) -> str:
+    made: str = api.mission(api.project()["id"])["id"]
+    return made
+
+
+def _stored(api: Api, key: str, body: bytes) -> None:
+    async def put() -> None:
+        async with open_storage(api.app.state.settings, ChecksumKind.crc64nvme) as storage:
+            await storage.put_small(key, body)
+
+    asyncio.run(put())
+
+
+def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mission: str) -> None:
+    ids = []
+    for body in (b"first", b"second"):
+        key = f"blobs/{uuid.uuid4()}"
+        _stored(api, key, body)
+        ids.append(sample.file(mission, f'{body.decode()} "é".mcap', key=key, size_bytes=len(body)))
+    links = api.post("/files/download", {"file_ids": [ids[1], ids[0], ids[1]]}).ok()["items"]
+    assert [link["file_id"] for link in links] == [ids[1], ids[0], ids[1]]
+    answers = [urllib3.request("GET", link["url"], timeout=30) for link in links]
+    assert [answer.data for answer in answers] == [b"second", b"first", b"second"]
+    part = urllib3.request("GET", links[0]["url"], headers={"Range": "bytes=1-3"}, timeout=30)
+    assert (part.status, part.data) == (206, b"eco")
+
+
+def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: str) -> None:
+    ids = [sample.file(mission, f"{number}.mcap") for number in range(3)]
+    with api.statements() as statements:
+        api.post("/files/download", {"file_ids": ids}).ok()
+    assert len(statements) == 3  # who, which, record
+    assert [[event["operation"] for event in api.events(each)] for each in ids] == [["file.download"]] * 3
+
+
+@pytest.mark.parametrize("state", ["lost", "corrupt"])
+def test_bytes_that_are_not_what_they_were_are_not_given_out(
+    api: Api, sample: Sample, mission: str, state: str
+) -> None:
+    good, bad = sample.file(mission, "a.mcap"), sample.file(mission, "b.mcap", state=state)
+    problem = api.post("/files/download", {"file_ids": [good, bad]}).refused(409, "file_unavailable")
+    assert (problem["path"], problem["state"]) == ("b.mcap", state)
+    assert api.events(good) == []
+
+
+def test_one_unknown_file_refuses_all(api: Api, sample: Sample, mission: str) -> None:
+    known, unknown = sample.file(mission, "a.mcap"), str(uuid.uuid4())
+    assert api.post("/files/download", {"file_ids": [known, unknown]}).refused(404, "not_found")["ref"] == unknown
+    assert api.events(known) == []
+    api.post("/files/download", {"file_ids": []}).refused(422, "invalid_request")
+    api.post("/files/download", {"file_ids": [known] * 501}).refused(422, "invalid_request")

@@ -1,0 +1,172 @@
+"""Files through HTTP: renaming, moving, labelling, deleting. The bytes are no part of it."""
+
+import uuid
+
+import pytest
+
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+
+@pytest.fixture(name="mission")
+def _mission(api: Api) -> str:
+    made: str = api.mission(api.project()["id"])["id"]
+    return made
+
+
+def test_reads_a_file_with_all_that_is_known_of_it(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(
+        mission,
+        "bags/a.mcap",
+        labels=("night",),
+        size_bytes=123,
+        crc64nvme=bytes(8),
+        start_ns=1,
+        end_ns=5,
+        message_count=2,
+        compression=["zstd"],
+    )
+    seen = api.get(f"/files/{file_id}").ok()
+    assert (seen["path"], seen["size_bytes"], seen["labels"]) == ("bags/a.mcap", 123, ["night"])
+    assert (seen["state"], seen["content"], seen["format"]) == ("stored", "indexed", "mcap")
+    assert (len(seen["sha256"]), seen["md5"], seen["crc64nvme"]) == (64, None, "0" * 16)
+    assert (seen["start_ns"], seen["end_ns"], seen["message_count"]) == (1, 5, 2)
+    assert (seen["compression"], seen["problems"], seen["recording_id"]) == (["zstd"], [], None)
+    assert (seen["mission"]["id"], seen["uploaded_by"]["name"]) == (mission, "owner")
+
+
+def test_what_is_unknown_is_not_found(api: Api) -> None:
+    unknown = str(uuid.uuid4())
+    for answer in (
+        api.get(f"/files/{unknown}"),
+        api.patch(f"/files/{unknown}", {"path": "x"}),
+        api.delete(f"/files/{unknown}"),
+        api.get(f"/files/{unknown}/topics"),
+        api.post(f"/files/{unknown}/prove"),
+        api.post("/files/download", {"file_ids": [unknown]}),
+    ):
+        assert answer.refused(404, "not_found")["ref"] == unknown
+
+
+def test_renaming_changes_the_path_and_nothing_else(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap")
+    before = api.get(f"/files/{file_id}").ok()
+    renamed = api.patch(f"/files/{file_id}", {"path": "bags/Cafe\u0301.mcap"}).ok()
+    assert renamed == {**before, "path": "bags/Café.mcap"}
+    (event,) = api.events(file_id)
+    assert (event["operation"], event["before"], event["after"]) == (
+        "file.update",
+        {"path": "a.mcap"},
+        {"path": "bags/Café.mcap"},
+    )
+
+
+def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap")
+    api.patch(f"/files/{file_id}", {"path": "a.mcap"}).ok()
+    assert api.events(file_id) == []
+    assert api.patch(f"/files/{file_id}", {"path": "A.mcap"}).ok()["path"] == "A.mcap"
+
+
+@pytest.mark.parametrize(
+    ("there", "wanted", "code"),
+    [
+        ("a.mcap", "a.mcap", "name_taken"),
+        ("Straße.mcap", "STRASSE.mcap", "name_taken"),
+        ("caf\u00e9/x", "cafe\u0301/X", "name_taken"),
+        ("a", "a/b", "path_conflict"),
+        ("A", "a/b/c", "path_conflict"),
+        ("a/b/c", "a", "path_conflict"),
+        ("A/b/c", "a/B", "path_conflict"),
+    ],
+)
+def test_a_path_that_is_taken_is_refused(
+    api: Api, sample: Sample, mission: str, there: str, wanted: str, code: str
+) -> None:
+    sample.file(mission, there)
+    file_id = sample.file(mission, "mine.mcap")
+    problem = api.patch(f"/files/{file_id}", {"path": wanted}).refused(409, code)
+    assert problem.get("other", there) == there
+    assert api.get(f"/files/{file_id}").ok()["path"] == "mine.mcap"
+    assert api.events(file_id) == []
+
+
+@pytest.mark.parametrize(("there", "wanted"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
+def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, wanted: str) -> None:
+    sample.file(mission, there)
+    file_id = sample.file(mission, "mine.mcap")
+    assert api.patch(f"/files/{file_id}", {"path": wanted}).ok()["path"] == wanted
+
+
+@pytest.mark.parametrize(
+    "path", ["", "/a", "a/", "a//b", "../a", "a/../b", ".", "a\nb", "a\x00", "x" * 300, "a\\b", "a/" * 600 + "b"]
+)
+def test_refuses_a_hostile_path(api: Api, sample: Sample, mission: str, path: str) -> None:
+    file_id = sample.file(mission, "a.mcap")
+    problem = api.patch(f"/files/{file_id}", {"path": path}).refused(422, "invalid_request")
+    assert [one["field"] for one in problem["problems"]] == ["body.path"]
+
+
+def test_moves_to_another_mission_and_has_both_grouped_anew(api: Api, sample: Sample, mission: str) -> None:
+    target = api.mission(api.project()["id"])
+    file_id = sample.file(mission, "a.mcap")
+    moved = api.patch(f"/files/{file_id}", {"mission_id": target["id"], "path": "b.mcap"}).ok()
+    assert (moved["mission"]["id"], moved["path"]) == (target["id"], "b.mcap")
+    (event,) = api.events(file_id)
+    assert event["after"]["mission"] == target["name"]
+    assert event["project_id"] == target["project"]["id"]
+    jobs = api.sql("SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = 'group_recordings'")
+    assert {mission, target["id"]} <= {ref for (ref,) in jobs}
+
+
+def test_does_not_move_to_a_mission_that_is_not_there(api: Api, sample: Sample, mission: str) -> None:
+    gone = api.mission(api.project()["id"])["id"]
+    api.delete(f"/missions/{gone}").ok()
+    file_id = sample.file(mission, "a.mcap")
+    assert api.patch(f"/files/{file_id}", {"mission_id": gone}).refused(404, "not_found")["noun"] == "mission"
+    assert api.sql("SELECT 1 FROM procrastinate_jobs WHERE args ->> 'ref' IN (%s, %s)", gone, mission) == []
+
+
+def test_labels_replace_each_other_and_repeat_nothing(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap", labels=("old",))
+    assert api.patch(f"/files/{file_id}", {"labels": ["night", "rain", "night"]}).ok()["labels"] == ["night", "rain"]
+    assert api.patch(f"/files/{file_id}", {"labels": []}).ok()["labels"] == []
+    api.patch(f"/files/{file_id}", {"labels": ["a,b"]}).refused(422, "invalid_request")
+    assert [event["after"] for event in api.events(file_id)] == [{"labels": []}, {"labels": ["night", "rain"]}]
+
+
+def test_a_deleted_file_is_gone_and_its_path_is_free(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap", size_bytes=9)
+    expected = {"missions": 0, "files": 1, "size_bytes": 9}
+    assert api.delete(f"/files/{file_id}", {"dry_run": "true"}).ok() == {**expected, "dry_run": True}
+    assert api.delete(f"/files/{file_id}").ok() == {**expected, "dry_run": False}
+    api.get(f"/files/{file_id}").refused(404, "not_found")
+    other = sample.file(mission, "b.mcap")
+    assert api.patch(f"/files/{other}", {"path": "a.mcap"}).ok()["path"] == "a.mcap"
+    assert [event["operation"] for event in api.events(file_id)] == ["file.delete"]
+
+
+def test_changing_a_file_takes_few_queries(api: Api, sample: Sample, mission: str) -> None:
+    for number in range(20):
+        sample.file(mission, f"{number}.mcap")
+    file_id = sample.file(mission, "a.mcap")
+    with api.statements() as statements:
+        api.patch(f"/files/{file_id}", {"path": "b.mcap"}).ok()
+    assert len(statements) <= 9
+
+
+def test_topics_of_a_file_come_by_name_in_pages(api: Api, sample: Sample, mission: str) -> None:
+    topics = [{"name": name, "message_type": "sensor_msgs/msg/Imu", "count": 5} for name in ("/c", "/a", "/b")]
+    file_id = sample.file(mission, "a.mcap", topics=[*topics, {"name": "/a", "message_type": None, "rate_hz": 1.5}])
+    rows = api.all(f"/files/{file_id}/topics", {"limit": "2"})
+    assert [row["name"] for row in rows] == ["/a", "/a", "/b", "/c"]
+    assert {row["file_id"] for row in rows} == {file_id}
+    assert {row["rate_hz"] for row in rows if row["message_type"] is None} == {1.5}
+
+
+def test_asking_for_proof_enqueues_it(api: Api, sample: Sample, mission: str) -> None:
+    blob_id = sample.blob()
+    file_id = sample.link(mission, "a.mcap", blob_id)
+    assert api.post(f"/files/{file_id}/prove").ok(202)["id"] == file_id
+    found = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
+    assert found == [(1,)]
