@@ -1,0 +1,1 @@
+"""The stories of the issue: `klein` as a subprocess against `klein up`."""
