@@ -73,11 +73,14 @@ class HttpSource:
             response = self._pool.request(
                 "GET", self._url, headers=headers, redirect=False, retries=False, preload_content=False
             )
+            data = b""
             try:
                 self._check_answer(response, offset, length)
                 data = response.read(length)
             finally:
-                response.drain_conn() if response.status == 206 else response.close()
+                # A connection is used again only if nothing of this answer is left in it.
+                if len(data) != length:
+                    response.close()
                 response.release_conn()
         except HTTPError as error:
             raise _Retryable(f"no answer from {self._host}: {type(error).__name__}") from error

@@ -1,0 +1,157 @@
+"""Reading by HTTP ranges, from a server that sometimes behaves badly."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings import (
+    FailureKind,
+    FileSource,
+    SourceError,
+    SummaryFailed,
+    UrlRequest,
+    http_source,
+    summarise,
+    summarise_isolated,
+)
+from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
+from kleinkram.recordings.sample import generate_bag, generate_mcap
+
+DATA = bytes(range(256)) * 40
+SECRET = "X-Amz-Signature=hunter2"
+
+
+@dataclass
+class Store:
+    """What the server serves, and how its next answers go wrong: one word each."""
+
+    data: bytes = DATA
+    mishaps: list[str] = field(default_factory=list)
+    requests: int = 0
+    port: int = 0
+
+    def source(self, size_bytes: int | None = None) -> HttpSource:
+        return HttpSource(self.url, size_bytes=size_bytes or len(self.data), name="drive.mcap")
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/bucket/key?{SECRET}"
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
+    monkeypatch.setattr(http_source, "FIRST_PAUSE_S", 0)
+    state = Store()
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+        disable_nagle_algorithm = True
+        wbufsize = 65536
+
+        def do_GET(self) -> None:
+            state.requests += 1
+            match = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
+            assert match is not None
+            first, last = int(match[1]), int(match[2])
+            mishap = state.mishaps.pop(0) if state.mishaps else ""
+            body = state.data[first : last + 1]
+            status = int(mishap) if mishap.isdigit() else 206
+            shown = first + 1 if mishap == "other range" else first
+            self.send_response(status)
+            self.send_header("Content-Range", f"bytes {shown}-{last}/{len(state.data)}")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body[: len(body) // 2] if mishap == "cut" else body)
+            self.wfile.flush()
+            if mishap == "cut":
+                self.close_connection = True
+                self.connection.shutdown(socket.SHUT_RDWR)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    state.port = server.server_port
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
+    yield state
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_reads_exactly_what_was_asked(store: Store) -> None:
+    source = store.source()
+    assert source.read(300, 700) == DATA[300:1000]
+    assert source.read(len(DATA) - 1, 1) == DATA[-1:]
+    assert source.read(5, 0) == b""
+    assert (source.bytes_read, source.reads, store.requests) == (701, 2, 2)
+
+
+@pytest.mark.parametrize("mishap", ["500", "503", "429", "cut"])
+def test_a_passing_mishap_is_tried_again(store: Store, mishap: str) -> None:
+    store.mishaps = [mishap] * (ATTEMPTS - 1)
+    assert store.source().read(0, 100) == DATA[:100]
+    assert store.requests == ATTEMPTS
+
+
+@pytest.mark.parametrize(("mishap", "says"), [("500", "answered 500"), ("cut", "127.0.0.1")])
+def test_a_lasting_mishap_is_an_error(store: Store, mishap: str, says: str) -> None:
+    store.mishaps = [mishap] * ATTEMPTS
+    with pytest.raises(SourceError, match=says) as caught:
+        store.source().read(0, 100)
+    assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("mishap", "says"), [("403", "with 403"), ("404", "with 404"), ("200", "ignores range"), ("302", "with 302")]
+)
+def test_a_refusal_is_not_tried_again(store: Store, mishap: str, says: str) -> None:
+    store.mishaps = [mishap]
+    with pytest.raises(SourceError, match=says):
+        store.source().read(0, 100)
+    assert store.requests == 1
+
+
+def test_another_range_or_another_size_is_refused(store: Store) -> None:
+    store.mishaps = ["other range"]
+    with pytest.raises(SourceError, match="where 'bytes 0-99/10240' was asked for"):
+        store.source().read(0, 100)
+    with pytest.raises(SourceError, match="where 'bytes 0-99/9999' was asked for"):
+        store.source(size_bytes=9_999).read(0, 100)
+
+
+def test_more_than_the_file_is_never_asked_for(store: Store) -> None:
+    for offset, length in ((0, len(DATA) + 1), (-1, 10), (0, 17 * 2**20)):
+        with pytest.raises(SourceError):
+            store.source().read(offset, length)
+    assert store.requests == 0
+
+
+def test_a_summary_over_http_is_that_of_the_file(store: Store, tmp_path: Path) -> None:
+    for truth in (
+        generate_mcap(tmp_path / "drive.mcap", size_bytes=20_000_000),
+        generate_bag(tmp_path / "drive.bag", size_bytes=20_000_000),
+    ):
+        store.data = truth.path.read_bytes()
+        with FileSource(truth.path) as source:
+            expected = summarise(source)
+        url = UrlRequest(store.url, len(store.data), truth.path.name)
+        assert summarise_isolated(url) == expected
+        assert expected.bytes_read < 1_000_000
+
+
+def test_a_store_that_refuses_is_not_the_files_fault(store: Store) -> None:
+    store.mishaps = ["403"] * 100
+    with pytest.raises(SummaryFailed, match="403") as caught:
+        summarise_isolated(UrlRequest(store.url, len(DATA), "drive.mcap"))
+    assert caught.value.kind is FailureKind.source
+    assert "hunter2" not in str(caught.value)
