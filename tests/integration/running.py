@@ -110,6 +110,10 @@ class Api:
             cursor = connection.execute(statement, values)
             return cursor.fetchall() if cursor.description else []
 
+    def metrics(self) -> str:
+        """Return what Prometheus would read."""
+        return self._pool.request("GET", f"{self.url}/metrics").data.decode()
+
     def events(self, noun_id: str) -> list[Any]:
         """Return what the record says of a noun, latest first."""
         return self.all("/audit", {"noun_id": noun_id})

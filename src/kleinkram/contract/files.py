@@ -45,8 +45,8 @@ class FileProblem(BaseModel):
 class FileRead(BaseModel):
     """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
 
-    `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until the
-    server has looked at the content, whatever came of it.
+    `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
+    the server has looked at the content, whatever came of it.
     """
 
     model_config = ConfigDict(frozen=True)

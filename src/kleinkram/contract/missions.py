@@ -54,7 +54,7 @@ class MissionRead(BaseModel):
 
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-    content nobody has looked at yet; `recordings_current` says whether recordings and span follow from the files of now.
+    content nobody has looked at yet; `recordings_current` says whether recordings and span follow from today's files.
     """
 
     model_config = ConfigDict(frozen=True)

@@ -1,0 +1,161 @@
+"""What happens to bytes after they came: summaries, proofs, damage, and their end."""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from kleinkram.recordings.sample import generate_bag, generate_mcap
+from kleinkram.server.blobs.jobs import sweep_once
+from tests.integration import uploading
+from tests.integration.jobs import on_site, run_jobs
+from tests.integration.running import Api
+from tests.integration.uploading import begin, fetch, upload
+
+Generate = Callable[..., Any]
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: Any) -> Api:
+    """An API of its own: its jobs are run by these tests alone."""
+    api: Api = start_api(sweep_grace_s=0)
+    return api
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+def _blob(api: Api, file_id: str) -> tuple[str, str]:
+    row = api.sql("SELECT b.id::text, b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0]
+    return str(row[0]), str(row[1])
+
+
+@pytest.mark.parametrize(("name", "generate"), [("run.mcap", generate_mcap), ("run.bag", generate_bag)])
+def test_a_recording_is_summarised_and_proven(
+    api: Api, mission_id: str, tmp_path: Any, name: str, generate: Generate
+) -> None:
+    generate(tmp_path / name, size_bytes=2_000_000, seed=3)
+    body = (tmp_path / name).read_bytes()
+    file = upload(api, mission_id, name, body)
+    assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 1
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"], read["content_reason"]) == ("proven", "indexed", None)
+    assert read["md5"] == uploading.checksum("md5", body)
+    topics = api.all(f"/files/{file['id']}/topics")
+    assert sum(topic["count"] for topic in topics) == read["message_count"] > 0
+    imu = next(topic for topic in topics if topic["name"] == "/imu/data")
+    assert imu["rate_hz"] == pytest.approx(200, rel=0.01)
+    mission = api.get(f"/missions/{mission_id}").ok()
+    assert (mission["start_ns"], mission["end_ns"]) == (read["start_ns"], read["end_ns"])
+    assert mission["recordings_current"] is True
+    recordings = api.all(f"/missions/{mission_id}/recordings")
+    assert [(each["name"], each["kind"]) for each in recordings] == [(name, "single")]
+
+
+def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path: Any) -> None:
+    generate_mcap(tmp_path / "run.mcap", size_bytes=500_000, seed=4)
+    generate_bag(tmp_path / "run.bag", size_bytes=500_000, seed=5)
+    for name in ("run.mcap", "run.bag"):
+        upload(api, mission_id, name, (tmp_path / name).read_bytes())
+    run_jobs(api)
+    assert [each["name"] for each in api.all(f"/missions/{mission_id}/recordings")] == ["run.bag", "run.mcap"]
+
+
+def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
+    yaml = (
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  message_count: 9\n"
+        "  relative_file_paths: [run_0.mcap, run_1.mcap]\n"
+    )
+    upload(api, mission_id, "run/metadata.yaml", yaml.encode() + os.urandom(4).hex().encode().join([b"# ", b"\n"]))
+    upload(api, mission_id, "run/run_0.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
+    upload(api, mission_id, "run/other.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
+    run_jobs(api)
+    recording = api.all(f"/missions/{mission_id}/recordings")[0]
+    assert (recording["kind"], recording["missing"], recording["surplus"]) == (
+        "rosbag2",
+        ["run_1.mcap"],
+        ["other.mcap"],
+    )
+    assert "run_1.mcap" in recording["problems"][0]["message"]
+
+
+def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None:
+    file = upload(api, mission_id, "holiday.bag", b"\xff\xd8\xff\xe0" + os.urandom(1000))
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"]) == ("proven", "opaque")
+    assert [problem["code"] for problem in read["problems"]] == ["extension-lies"]
+
+
+def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: str) -> None:
+    body = os.urandom(5000)
+    file = upload(api, mission_id, "run.bin", body)
+    run_jobs(api)
+    _, key = _blob(api, file["id"])
+    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + b"!"))
+    api.post(f"/files/{file['id']}/prove").ok(202)
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert read["state"] == "corrupt"
+    assert "CRC-64/NVME" in read["state_reason"]
+    api.post("/files/download", {"file_ids": [file["id"]]}).refused(409, "file_unavailable")
+    assert 'kleinkram_blobs{state="corrupt"} 1' in api.metrics()
+    mended = upload(api, mission_id, "run.bin", body)
+    assert (mended["id"], mended["state"]) == (file["id"], "stored")
+    assert api.events(file["id"])[0]["operation"] == "file.mend"
+    link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
+    assert fetch(link["url"]) == (200, body)
+
+
+def test_a_vanished_object_is_lost(api: Api, mission_id: str) -> None:
+    body = os.urandom(50)
+    file = upload(api, mission_id, "run.bin", body)
+    _, key = _blob(api, file["id"])
+    on_site(api, lambda site: site.storage.delete(key))
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["state_reason"]) == ("lost", "the store no longer has the object")
+    assert begin(api, mission_id, {"copy.bin": body})[0]["decision"] == "send", "what is lost is nobody's twin"
+
+
+def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(api: Api, mission_id: str) -> None:
+    body = os.urandom(700)
+    first = upload(api, mission_id, "first.bin", body)
+    run_jobs(api)
+    second = begin(api, mission_id, {"second.bin": body})[0]["file"]
+    _, key = _blob(api, first["id"])
+    for file in (first, second):
+        assert on_site(api, lambda site: site.storage.find(key)) is not None
+        api.delete(f"/files/{file['id']}").ok()
+        on_site(api, sweep_once)  # still in the trash: nothing goes
+        assert on_site(api, lambda site: site.storage.find(key)) is not None
+        api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", file["id"])
+        on_site(api, sweep_once)
+        on_site(api, sweep_once)
+    assert on_site(api, lambda site: site.storage.find(key)) is None
+    assert api.sql("SELECT count(*) FROM blob WHERE key = %s", key) == [(0,)]
+    assert api.events(first["id"])[0]["operation"] == "file.sweep"
+
+
+def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
+    project = api.project()
+    mission_id = api.mission(project["id"])["id"]
+    upload(api, mission_id, "run.bin", os.urandom(10))
+    run_jobs(api)
+    api.delete(f"/projects/{project['id']}").ok()
+    api.sql("UPDATE project SET deleted_at = now() - interval '31 days' WHERE id = %s", project["id"])
+    for _ in range(3):
+        on_site(api, sweep_once)
+    assert api.sql("SELECT count(*) FROM project WHERE id = %s", project["id"]) == [(0,)]
+    assert api.sql("SELECT count(*) FROM mission WHERE id = %s", mission_id) == [(0,)]
+
+
+def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
+    body = os.urandom(300)
+    file = upload(api, mission_id, "run.bin", body)
+    api.sql("UPDATE blob SET doomed_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"])
+    assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "send"

@@ -1,0 +1,55 @@
+"""Jobs, run by the test itself when it wants them: the same worker, until the queue is empty."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from procrastinate import PsycopgConnector
+
+from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.server.db import open_database
+from kleinkram.server.jobs import worker
+from kleinkram.server.jobs.queue import queue
+from kleinkram.server.settings import Settings, plain_dsn
+from kleinkram.server.site import Site
+from kleinkram.server.storage import open_storage
+from tests.integration.running import Api
+
+T = TypeVar("T")
+_DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"
+
+
+def run_jobs(api: Api) -> None:
+    """Run every job that waits, and those that they cause."""
+    assert worker.JOB_MODULES
+    while api.sql(_DUE) != [(0,)]:
+        on_site(api, _drain)
+
+
+async def _drain(site: Site) -> None:
+    connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
+    with queue.replace_connector(connector) as app:
+        async with app.open_async():
+            await app.run_worker_async(
+                wait=False,
+                concurrency=4,
+                install_signal_handlers=False,
+                listen_notify=False,
+                additional_context={"site": site},
+            )
+
+
+def on_site(api: Api, work: Callable[[Site], Awaitable[T]]) -> T:
+    """Do something with a database and a store of its own, as a job would."""
+    settings: Settings = api.app.state.settings
+
+    async def run() -> T:
+        database = open_database(settings)
+        try:
+            async with open_storage(settings, ChecksumKind.crc64nvme) as storage:
+                checksum = api.app.state.storage.checksum
+                return await work(Site(database, storage.proving_by(checksum), settings))
+        finally:
+            await database.close()
+
+    return asyncio.run(run())

@@ -1,0 +1,141 @@
+"""What a crash leaves at each step of an upload, and how it ends well all the same."""
+
+import os
+import threading
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.uploads import UploadFinish
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.site import Site
+from kleinkram.server.uploads import completion
+from kleinkram.server.uploads.jobs import tend_uploads
+from tests.integration.jobs import on_site
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, crc64, send, sha256, sign
+
+_PART = 8 * 1024 * 1024
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+def _tend(api: Api) -> None:
+    on_site(api, lambda site: tend_uploads(site, stale_s=0))
+
+
+def _mark_only(api: Api, upload: Any, body: bytes) -> None:
+    """Do what `complete` does up to its first commit, and die."""
+
+    async def mark(site: Site) -> None:
+        finish = UploadFinish(upload_id=upload["id"], sha256=sha256(body), crc64nvme=crc64(body))
+        row = api.sql("SELECT person_id FROM upload WHERE id = %s", upload["id"])[0]
+        async with site.database.begin() as db:
+            await completion._mark(db, Actor(row[0], "owner", None, None), [finish], {})
+
+    on_site(api, mark)
+
+
+@pytest.mark.parametrize("size_bytes", [100, _PART + 100])
+def test_a_crash_after_the_mark_is_finished_by_the_job(api: Api, mission_id: str, size_bytes: int) -> None:
+    body = os.urandom(size_bytes)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body)
+    _mark_only(api, upload, body)
+    assert api.all("/files", {"mission_id": mission_id}) == []
+    _tend(api)
+    files = api.all("/files", {"mission_id": mission_id})
+    assert [(file["path"], file["sha256"]) for file in files] == [("run.bin", sha256(body))]
+    assert complete(api, upload, body)["file"]["id"] == files[0]["id"]
+
+
+def test_a_crash_after_the_store_joined_the_parts_is_finished_too(api: Api, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body)
+    _mark_only(api, upload, body)
+    key, multipart_id = api.sql("SELECT key, multipart_id FROM upload WHERE id = %s", upload["id"])[0]
+    crc = bytes.fromhex(crc64(body))
+    on_site(api, lambda site: site.storage.complete_multipart(key, multipart_id, crc64nvme=crc))
+    assert complete(api, upload, body)["outcome"] == "completed"
+
+
+def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body, only=[1])
+    _mark_only(api, upload, body)
+    _tend(api)
+    send(api, upload, body, only=[2])
+    assert complete(api, upload, body)["outcome"] == "completed"
+
+
+def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: Any) -> None:
+    api = start_api(part_url_s=1)
+    mission_id = api.mission(api.project()["id"])["id"]
+    large, small = os.urandom(_PART + 100), os.urandom(100)
+    uploads = [each["upload"] for each in begin(api, mission_id, {"large": large, "small": small})]
+    send(api, uploads[0], large, only=[1])
+    send(api, uploads[1], small)
+    api.sql("UPDATE upload SET expires_at = now(), lease_ends_at = now() - interval '1 hour'")
+    _tend(api)
+    assert {row[0] for row in api.sql("SELECT state FROM upload")} == {"expired"}
+    assert api.sql("SELECT count(*) FROM upload WHERE cleaned_at IS NULL") == [(0,)]
+    assert on_site(api, lambda site: site.storage.sizes("")) == {}
+    assert on_site(api, lambda site: site.storage.open_multiparts("")) == []
+    sign(api, uploads[1], [(1, small)]).refused(410, "upload_gone")
+    assert begin(api, mission_id, {"small": small})[0]["decision"] == "send"
+
+
+def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    key = api.sql("SELECT key FROM upload WHERE id = %s", upload["id"])[0][0]
+    on_site(api, lambda site: site.storage.begin_multipart(key))  # the answer of this one was lost
+    api.delete(f"/uploads/{upload['id']}").ok(204)
+    assert len(on_site(api, lambda site: site.storage.open_multiparts(key))) == 2
+    _tend(api)
+    assert on_site(api, lambda site: site.storage.open_multiparts(key)) == []
+
+
+def test_of_two_clients_that_race_for_a_name_one_wins_and_one_is_told(api: Api, mission_id: str) -> None:
+    bodies = [os.urandom(1000) for _ in range(8)]
+    barrier = threading.Barrier(len(bodies))
+    outcomes: list[str] = []
+
+    def race(body: bytes) -> None:
+        barrier.wait()
+        decision = begin(api, mission_id, {"run.bin": body})[0]
+        if decision["decision"] == "send":
+            send(api, decision["upload"], body)
+            outcomes.append(complete(api, decision["upload"], body)["outcome"])
+        else:
+            outcomes.append(decision["problem"]["code"])
+
+    threads = [threading.Thread(target=race, args=(body,)) for body in bodies]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert outcomes.count("completed") == 1
+    assert set(outcomes) <= {"completed", "name_leased", "file_exists"}
+    assert len(outcomes) == len(bodies)
+    assert len(api.all("/files", {"mission_id": mission_id})) == 1
+
+
+def test_completing_from_two_sides_at_once_makes_one_file(api: Api, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body)
+    answers: list[Any] = []
+    threads = [threading.Thread(target=lambda: answers.append(complete(api, upload, body))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert {answer["outcome"] for answer in answers} == {"completed"}
+    assert len({answer["file"]["id"] for answer in answers}) == 1
+    assert len(api.all("/files", {"mission_id": mission_id})) == 1
