@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 from unicodedata import normalize
 
-from sqlalchemy import ColumnElement, Select, Text, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, Select, Text, and_, bindparam, cast, func, or_, select, type_coerce
+from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
@@ -59,11 +60,11 @@ def narrow_files(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
     if matching.path:
         conditions.append(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path]))
     if matching.label:
-        conditions.append(file.c.labels.overlap([normalize("NFC", label) for label in matching.label]))
+        conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
     conditions += _words(matching.text, _file_holds)
     if matching.topic or matching.message_type:
-        conditions.append(exists().where(topic.c.blob_id == blob.c.id, *_topic_conditions(matching)))
+        conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return stmt.where(*conditions)
 
 
@@ -116,9 +117,24 @@ def _topic_conditions(matching: MissionFilter | FileFilter) -> Conditions:
     return conditions
 
 
+def _labelled(labels: Sequence[str]) -> ColumnElement[bool]:
+    held = type_coerce(file.c.labels, ARRAY(Text))
+    any_of: ColumnElement[bool] = held.overlap([normalize("NFC", label) for label in labels])
+    return any_of
+
+
+def _blob_has_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
+    # Its own look at the topics, even where the statement around it lists topics too.
+    return select(topic.c.id).where(topic.c.blob_id == blob.c.id, *conditions).correlate(blob).exists()
+
+
 def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnElement[bool]:
     its_topics = select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id)
-    return its_topics.where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), and_(*conditions)).exists()
+    return (
+        its_topics.where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), and_(*conditions))
+        .correlate(mission)
+        .exists()
+    )
 
 
 def _words(text: str | None, holds: Callable[[str], ColumnElement[bool]]) -> Conditions:
@@ -130,8 +146,11 @@ def _project_holds(word: str) -> ColumnElement[bool]:
 
 
 def _mission_holds(word: str) -> ColumnElement[bool]:
-    values = func.jsonb_path_query(mission.c.metadata, "strict $.**").table_valued("value").render_derived()
-    in_values = select(values.c.value).where(holds_word(values.c.value.op("#>>", return_type=Text())("{}"), word))
+    values = (
+        func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH)).table_valued("value").render_derived()
+    )
+    as_text = values.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
+    in_values = select(values.c.value).where(holds_word(as_text, word))
     scalar = func.jsonb_typeof(values.c.value).not_in(["object", "array"])
     return or_(
         key_holds_word(mission.c.name_key, word),
@@ -142,6 +161,6 @@ def _mission_holds(word: str) -> ColumnElement[bool]:
 
 
 def _file_holds(word: str) -> ColumnElement[bool]:
-    topics = exists().where(topic.c.blob_id == blob.c.id, holds_word(topic.c.name, word))
+    topics = _blob_has_topic(holds_word(topic.c.name, word))
     labels = holds_word(func.array_to_string(file.c.labels, "\n"), word)
     return or_(key_holds_word(file.c.path_key, word), labels, topics, _mission_holds(word))

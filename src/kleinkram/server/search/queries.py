@@ -1,5 +1,6 @@
 """Topics across files, and statistics. Functions return selects; they touch no connection."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
+_METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
+
 
 def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the topics of the files that match, with those files; topic and type globs narrow the topics too."""
@@ -22,8 +25,8 @@ def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
 
 def group_column(by: str) -> ColumnElement[Any] | None:
     """Return what statistics group by, or None where there is no such group."""
-    if by.startswith("metadata.") and len(by) > len("metadata."):
-        return metadata_text(by.split(".")[1:])
+    if metadata_path := _METADATA.fullmatch(by):
+        return metadata_text(metadata_path[1].split("."))
     # Files of one recording belong to the month in which it began.
     start_ns = func.coalesce(recording.c.start_ns, blob.c.start_ns)
     began = func.to_timestamp(cast(start_ns / 1_000_000_000, BigInteger))

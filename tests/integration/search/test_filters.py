@@ -1,0 +1,212 @@
+"""What the filters of the lists find."""
+
+import datetime
+import uuid
+from typing import Any
+
+import pytest
+
+from tests.integration.running import Api, Query
+from tests.integration.sample import Sample
+
+DAY_NS = 86_400 * 10**9
+IMU = {"message_type": "sensor_msgs/msg/Imu", "count": 200}
+IMAGE = {"message_type": "sensor_msgs/msg/Image", "count": 10}
+
+
+@pytest.fixture(scope="module")
+def project(api: Api, sample: Sample) -> Any:
+    made = api.project(name=f"Filters {uuid.uuid4()}")
+    alps = api.mission(made["id"], name="Alps", notes="It rained on 50% of the way", metadata_yaml="who: Ada\n")
+    lake = api.mission(made["id"], name="Lake", metadata_yaml="a: {b: [Grace]}\n")
+    sample.file(
+        alps["id"],
+        "Bags/front.mcap",
+        size_bytes=10,
+        start_ns=1 * DAY_NS,
+        end_ns=2 * DAY_NS,
+        labels=("night",),
+        topics=[{"name": "/cam/front", **IMAGE}, {"name": "/imu", **IMU}],
+    )
+    sample.file(alps["id"], "notes_1.txt", size_bytes=20, format=None, content="opaque", labels=("night", "wet"))
+    proven: dict[str, Any] = {
+        "state": "proven",
+        "md5": bytes(16),
+        "proven_at": datetime.datetime.now(datetime.timezone.utc),
+    }
+    sample.file(
+        lake["id"],
+        "rear.bag",
+        size_bytes=30,
+        start_ns=4 * DAY_NS,
+        end_ns=5 * DAY_NS,
+        format="rosbag1",
+        topics=[{"name": "/cam/rear", **IMAGE}, {"name": "/odd", "message_type": None}],
+        **proven,
+    )
+    api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", DAY_NS, 2 * DAY_NS, alps["id"])
+    api.patch(f"/missions/{lake['id']}", {"completed": True}).ok()
+    return made
+
+
+def _files(api: Api, project: Any, query: Query) -> str:
+    pairs = list(query.items()) if isinstance(query, dict) else list(query)
+    items = api.get("/files", [("project_id", project["id"]), *pairs]).ok()["items"]
+    return " ".join(item["path"] for item in items)
+
+
+FRONT, NOTES, REAR = "Bags/front.mcap", "notes_1.txt", "rear.bag"
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ({}, [FRONT, NOTES, REAR]),
+        ({"mission": "alps"}, [FRONT, NOTES]),
+        ({"mission": "?ake"}, [REAR]),
+        ({"path": "bags/FRONT.mcap"}, [FRONT]),
+        ({"path": "*.mcap"}, [FRONT]),
+        ({"path": "notes?1.txt"}, [NOTES]),
+        ({"path": "front.mcap"}, []),
+        ([("path", "*.mcap"), ("path", "rear*")], [FRONT, REAR]),
+        ({"topic": "/imu"}, [FRONT]),
+        ({"topic": "/cam/*"}, [FRONT, REAR]),
+        ({"topic": "/CAM/*"}, []),
+        ({"message_type": "*/Image"}, [FRONT, REAR]),
+        ({"topic": "/imu", "message_type": "*/Image"}, []),
+        ([("topic", "/imu"), ("topic", "/cam/rear")], [FRONT, REAR]),
+        ({"format": "rosbag1"}, [REAR]),
+        ({"label": "night"}, [FRONT, NOTES]),
+        ([("label", "wet"), ("label", "dry")], [NOTES]),
+        ({"state": "proven"}, [REAR]),
+        ({"content": "opaque"}, [NOTES]),
+        ({"min_size_bytes": "20"}, [NOTES, REAR]),
+        ({"max_size_bytes": "20", "min_size_bytes": "11"}, [NOTES]),
+        ({"recorded_after": "1970-01-04"}, [REAR]),
+        ({"recorded_after": "1970-01-04T00:00:00"}, [REAR]),
+        ({"recorded_before": "1970-01-03T02:00:00+02:00"}, [FRONT]),
+        ({"recorded_after": "1970-01-03T12:00:00Z", "recorded_before": "1970-01-04T12:00:00Z"}, []),
+        ({"recorded_after": "9999-12-31T00:00:00Z"}, []),
+        ({"text": "ada"}, [FRONT, NOTES]),
+        ({"text": "GRACE"}, [REAR]),
+        ({"text": "who"}, []),
+        ({"text": "alps imu"}, [FRONT]),
+        ({"text": "wet"}, [NOTES]),
+        ({"text": "50%"}, [FRONT, NOTES]),
+        ({"text": "5_%"}, []),
+    ],
+)
+def test_files(api: Api, project: Any, query: Query, found: list[str]) -> None:
+    assert _files(api, project, query) == " ".join(found)
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ({}, "Alps Lake"),
+        ({"name": "ALPS"}, "Alps"),
+        ({"name": "*"}, "Alps Lake"),
+        ({"topic": "/imu"}, "Alps"),
+        ({"topic": "/odd"}, "Lake"),
+        ({"message_type": "sensor_msgs/msg/*"}, "Alps Lake"),
+        ({"recorded_before": "1970-01-10"}, "Alps"),
+        ({"completed": "true"}, "Lake"),
+        ({"completed": "false"}, "Alps"),
+        ({"satisfied": "true"}, "Alps Lake"),
+        ({"text": "rained ada"}, "Alps"),
+        ({"text": "filters lake"}, "Lake"),
+        ({"text": "imu"}, ""),
+    ],
+)
+def test_missions(api: Api, project: Any, query: dict[str, str], found: str) -> None:
+    items = api.all("/missions", {"project_id": project["id"], **query})
+    assert " ".join(item["name"] for item in items) == found
+
+
+def test_a_project_may_be_given_by_name_or_glob(api: Api, project: Any) -> None:
+    assert len(api.all("/files", {"project": project["name"].upper()})) == 3
+    assert len(api.all("/files", {"project": project["name"][:20] + "*"})) == 3
+    assert api.all("/missions", {"project": project["name"] + "x"}) == []
+
+
+@pytest.mark.parametrize(
+    ("sort", "found"),
+    [
+        ("path", [FRONT, NOTES, REAR]),
+        ("-path", [REAR, NOTES, FRONT]),
+        ("created", [FRONT, NOTES, REAR]),
+        ("-created", [REAR, NOTES, FRONT]),
+        ("size", [FRONT, NOTES, REAR]),
+        ("-size", [REAR, NOTES, FRONT]),
+        ("start", [FRONT, REAR, NOTES]),
+        ("-start", [REAR, FRONT, NOTES]),
+    ],
+)
+def test_files_sort_page_by_page(api: Api, project: Any, sort: str, found: list[str]) -> None:
+    listed = api.all("/files", {"project_id": project["id"], "sort": sort, "limit": "1"})
+    assert [item["path"] for item in listed] == found
+
+
+def test_files_are_counted_when_asked(api: Api, project: Any) -> None:
+    query = {"project_id": project["id"], "count": "true", "limit": "2", "label": "night"}
+    assert api.get("/files", query).ok()["total"] == 2
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"limit": "0"},
+        {"limit": "501"},
+        {"sort": "colour"},
+        {"min_size_bytes": "-1"},
+        {"max_size_bytes": str(2**63)},
+        {"recorded_after": "yesterday"},
+        {"state": "fine"},
+        {"colour": "red"},
+        {"mission_id": "x"},
+    ],
+)
+def test_a_wrong_filter_is_named(api: Api, query: dict[str, str]) -> None:
+    problem = api.get("/files", query).refused(422, "invalid_request")
+    assert [one["field"].split(".")[:2] for one in problem["problems"]] == [["query", next(iter(query))]]
+
+
+def test_pages_are_stable_while_files_come_and_go(api: Api, sample: Sample) -> None:
+    mission = api.mission(api.project()["id"])["id"]
+    ids = {name: sample.file(mission, name) for name in "bdfh"}
+    query = {"mission_id": mission, "limit": "2"}
+    first = api.get("/files", query).ok()
+    for name in "ag":
+        sample.file(mission, name)
+    api.patch(f"/files/{ids['d']}", {"path": "z"}).ok()
+    second = api.get("/files", {**query, "cursor": first["next"]}).ok()
+    assert [item["path"] for item in first["items"] + second["items"]] == ["b", "d", "f", "g"]
+
+
+def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api, sample: Sample) -> None:
+    mission = api.mission(api.project()["id"])["id"]
+    counts = []
+    for number in range(3):
+        sample.file(mission, f"{number}.mcap", topics=[{"name": "/a"}])
+        with api.statements() as statements:
+            assert len(api.get("/files", {"mission_id": mission}).ok()["items"]) == number + 1
+        counts.append(len(statements))
+    assert counts == [2, 2, 2]
+
+
+def test_topics_are_found_across_files(api: Api, project: Any, sample: Sample) -> None:
+    rows = api.all("/topics", {"project_id": project["id"], "limit": "2"})
+    assert [row["name"] for row in rows] == ["/cam/front", "/cam/rear", "/imu", "/odd"]
+    narrowed = api.get("/topics", {"project_id": project["id"], "message_type": "*Image", "count": "true"}).ok()
+    assert ([row["name"] for row in narrowed["items"]], narrowed["total"]) == (["/cam/front", "/cam/rear"], 2)
+    assert [row["count"] for row in api.all("/topics", {"project_id": project["id"], "topic": "/imu"})] == [200]
+
+
+def test_a_blob_in_two_files_shows_its_topics_in_both(api: Api, sample: Sample) -> None:
+    mission = api.mission(api.project()["id"])["id"]
+    first = sample.file(mission, "a.mcap", topics=[{"name": "/a"}, {"name": "/b"}])
+    ((blob_id,),) = api.sql("SELECT blob_id FROM file WHERE id = %s", first)
+    second = sample.link(mission, "b.mcap", str(blob_id))
+    rows = api.all("/topics", {"mission_id": mission, "limit": "1"})
+    assert [row["name"] for row in rows] == ["/a", "/a", "/b", "/b"]
+    assert {row["file_id"] for row in rows} == {first, second}

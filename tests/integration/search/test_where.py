@@ -1,0 +1,96 @@
+"""Comparisons with metadata, in lists of missions and of files."""
+
+import pytest
+
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+MISSIONS = {
+    "one": "robot: anymal\ntemperature: 9.5\nday: 2024-05-01\nindoors: true\nsite: {latitude: 47, name: Zürich}\n",
+    "two": "robot: spot\ntemperature: 10\nday: 2024-05-01 14:00+02:00\nindoors: false\ntags: [rain, night, 7]\n",
+    "three": "robot: '7'\ntemperature: warm\nday: 2024-06-01\nsite: 100%_real\n",
+    "none": "",
+}
+
+
+@pytest.fixture(scope="module")
+def project_id(api: Api, sample: Sample) -> str:
+    made: str = api.project(fields_yaml="fields: [{name: day, type: date}]")["id"]
+    for name, text in MISSIONS.items():
+        sample.file(api.mission(made, name=name, metadata_yaml=text)["id"], f"{name}.mcap")
+    return made
+
+
+@pytest.mark.parametrize(
+    ("expression", "found"),
+    [
+        ("robot=anymal", "one"),
+        ("robot = anymal", "one"),
+        ("robot=Anymal", ""),
+        ("robot!=anymal", "three two"),
+        ("robot~ANY*", "one"),
+        ("robot~sp?t", "two"),
+        ("robot=7", "three"),
+        ('robot="7"', "three"),
+        ("temperature=10", "two"),
+        ("temperature=10.0", "two"),
+        ("temperature>9", "one two"),
+        ("temperature>9.5", "two"),
+        ("temperature>=9.5", "one two"),
+        ("temperature<10", "one"),
+        ("temperature<=1e1", "one two"),
+        ("temperature!=10", "one three"),
+        ("temperature>a", "three"),
+        ("day>2024-05-01", "three two"),
+        ("day<2024-05-01T13:00Z", "one two"),
+        ("day=2024-05-01 12:00", "two"),
+        ("day>=2024-05-01", "one three two"),
+        ("indoors=true", "one"),
+        ("indoors!=true", "two"),
+        ("site.latitude>40", "one"),
+        ("site.name=Zürich", "one"),
+        ("site.nowhere=1", ""),
+        ("site~100%_*", "three"),
+        ("site~1000_*", ""),
+        ("tags=night", "two"),
+        ("tags=7", "two"),
+        ("tags!=night", ""),
+        ("nothing=1", ""),
+        ("nothing!=1", ""),
+        ("robot=' OR 1=1 --", ""),
+        ("robot=:x %(y)s", ""),
+    ],
+)
+def test_compares(api: Api, project_id: str, expression: str, found: str) -> None:
+    query = {"project_id": project_id, "where": expression}
+    assert " ".join(mission["name"] for mission in api.all("/missions", query)) == found
+    files = sorted(file["mission"]["name"] for file in api.all("/files", query))
+    assert " ".join(files) == found
+
+
+def test_all_comparisons_must_hold(api: Api, project_id: str) -> None:
+    query = [("project_id", project_id), ("where", "temperature>5"), ("where", "robot=spot")]
+    assert [mission["name"] for mission in api.get("/missions", query).ok()["items"]] == ["two"]
+
+
+@pytest.mark.parametrize(
+    "expression", ["", "robot", "=anymal", "robot=", "1robot=x", "indoors>true", "a..b=1", "robot==x y", "a b=c"]
+)
+def test_what_is_no_comparison_is_refused(api: Api, expression: str) -> None:
+    for path in ("/missions", "/files", "/topics", "/stats"):
+        answer = api.get(path, {"where": expression})
+        if expression == "robot==x y":  # equals "=x y": odd, but a comparison
+            answer.ok()
+        else:
+            assert answer.refused(422, "invalid_query")["expression"] == expression
+
+
+@pytest.mark.parametrize("value", ["9" * 400, "1e999", "-1e-999", "0x10", "٣", "1_000", "9" * 18 + "." + "9" * 18])
+def test_odd_numbers_break_nothing(api: Api, value: str) -> None:
+    for operator in ("=", "!=", "<", "~"):
+        api.get("/missions", {"where": f"temperature{operator}{value}"}).ok()
+
+
+@pytest.mark.parametrize("query", [{"where": "a=\x00"}, {"text": "\x00"}, {"name": "a\x00"}, {"project": "\x00"}])
+def test_what_no_database_holds_is_refused(api: Api, query: dict[str, str]) -> None:
+    api.get("/missions", query).refused(422, "invalid_request")
