@@ -72,13 +72,13 @@ def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
     )
     upload(api, mission_id, "run/metadata.yaml", yaml.encode() + os.urandom(4).hex().encode().join([b"# ", b"\n"]))
     upload(api, mission_id, "run/run_0.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
-    upload(api, mission_id, "run/other.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
+    upload(api, mission_id, "run/run_7.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
     run_jobs(api)
     recording = api.all(f"/missions/{mission_id}/recordings")[0]
     assert (recording["kind"], recording["missing"], recording["surplus"]) == (
         "rosbag2",
         ["run_1.mcap"],
-        ["other.mcap"],
+        ["run_7.mcap"],
     )
     assert "run_1.mcap" in recording["problems"][0]["message"]
 
