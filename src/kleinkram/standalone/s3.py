@@ -65,16 +65,18 @@ def request(
         connection.close()
 
 
-def create_bucket(access: StoreAccess, bucket: str) -> bool:
+def create_bucket(access: StoreAccess, bucket: str, *, timeout_s: float = 5) -> bool:
     """Make the bucket unless it is there; returns whether it is there now."""
-    return request(access, "PUT", f"/{bucket}")[0] in (200, 409)
+    return request(access, "PUT", f"/{bucket}", timeout_s=timeout_s)[0] in (200, 409)
 
 
 def proves_ready(access: StoreAccess, bucket: str, *, timeout_s: float = 5) -> bool:
     """Whether bytes written to the bucket come back and can be deleted: the only readiness worth the name."""
     path, body = f"/{bucket}/.kleinkram-probe", b"probe" * 1000
     try:
-        if not create_bucket(access, bucket) or request(access, "PUT", path, body=body, timeout_s=timeout_s)[0] != 200:
+        if not create_bucket(access, bucket, timeout_s=timeout_s):
+            return False
+        if request(access, "PUT", path, body=body, timeout_s=timeout_s)[0] != 200:
             return False
         came_back = request(access, "GET", path, timeout_s=timeout_s) == (200, body)
         return request(access, "DELETE", path, timeout_s=timeout_s)[0] in (200, 204) and came_back

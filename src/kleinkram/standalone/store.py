@@ -17,7 +17,9 @@ from kleinkram.standalone.s3 import StoreAccess
 BUCKET = "kleinkram"
 STOP_SIGNAL = signal.SIGTERM
 _SERVICES = ("s3", "master", "volume", "filer", "admin")
-PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _SERVICES), "s3_tls")
+# Not admin: weed's own worker looks for its gRPC port at the port plus 10000, whatever it is told.
+_WITH_GRPC = ("s3", "master", "volume", "filer")
+PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _WITH_GRPC), "s3_tls")
 
 # A loopback socket's path must fit into sockaddr_un.
 _LONGEST_SOCKET_PATH = 100
@@ -58,7 +60,7 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
         "-ip=127.0.0.1",
         "-ip.bind=127.0.0.1",
         *(f"-{part}.port={ports[part]}" for part in _SERVICES),
-        *(f"-{part}.port.grpc={ports[f'{part}_grpc']}" for part in _SERVICES),
+        *(f"-{part}.port.grpc={ports[f'{part}_grpc']}" for part in _WITH_GRPC),
         "-s3.port.iceberg=0",
         "-s3.port.lance=0",
         f"-s3.config={_write_identities(store)}",

@@ -30,7 +30,8 @@ from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_line, 
 from kleinkram.standalone.plan import Plan, UpOptions, make_plan
 
 _START_TIMEOUT_S = 120.0
-_STORE_PATIENCE_S = 10.0
+_STORE_PATIENCE_S = 1.5
+_STORE_STARTS = 5
 _LOGS_EVERY_S = 5.0
 _WATCHED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD}
 
@@ -90,8 +91,9 @@ class Supervisor:
             self._launch("door", lambda: child.spawn(door))
             self._wait(lambda: health.answers(local_store_url(plan)), self.parts["door"])
         self._launch("api", lambda: child.spawn(plan.server_process("api", *plan.api_arguments())))
-        self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
         self._wait(lambda: health.is_ready(local_url(plan)), self.parts["api"])
+        # Last: nobody waits for it, and its imports would take their share of the time to the first answer.
+        self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
         note_version(plan.data_dir)
         self._tell()
 
@@ -140,19 +142,33 @@ class Supervisor:
             _pause(0.02)
 
     def _wait_for_store(self) -> None:
-        """Wait until bytes come back. A store that listens but takes none for long is started anew, which is safe:
-        where its volume server misses the master's election it would be seconds before it asks again.
+        """Wait until bytes come back, starting anew a store that listens and takes none: it would for 5 to 20 s.
+
+        In some starts weed's volume server greets the master before the master has elected itself, is refused, and
+        asks again only seconds later; until then every PUT hangs. Nothing is in flight yet, so killing it is safe.
         """
-        running, access = self.parts["store"], self.plan.store.access
-        deadline = time.monotonic() + _STORE_PATIENCE_S
-        self._wait(lambda: s3.proves_ready(access, store.BUCKET) or time.monotonic() > deadline, running)
-        if not s3.proves_ready(access, store.BUCKET):
-            _say(
-                f"the store has taken no bytes for {_STORE_PATIENCE_S:.0f} s: starting it anew; log: {running.part.log}"
-            )
+        access = self.plan.store.access
+        for _ in range(_STORE_STARTS):
+            running = self.parts["store"]
+            self._wait(lambda: health.answers(access.endpoint), running)
+            if self._takes_bytes_soon(running):
+                return
+            _say(f"the store listens but takes no bytes: starting it anew; log: {running.part.log}")
             child.stop(running.child, sign=signal.SIGKILL, timeout_s=10)
-            running = self.parts["store"] = launch(running.part)
-            self._wait(lambda: s3.proves_ready(access, store.BUCKET), running)
+            self.parts["store"] = launch(running.part)
+        self._wait(lambda: s3.proves_ready(access, store.BUCKET, timeout_s=30), self.parts["store"])
+
+    def _takes_bytes_soon(self, running: RunningPart) -> bool:
+        proven = False
+        deadline = time.monotonic() + _STORE_PATIENCE_S
+
+        def proven_or_late() -> bool:
+            nonlocal proven
+            proven = s3.proves_ready(self.plan.store.access, store.BUCKET, timeout_s=_STORE_PATIENCE_S)
+            return proven or time.monotonic() > deadline
+
+        self._wait(proven_or_late, running)
+        return proven
 
     def _migrate(self) -> None:
         command = self.plan.server_process("migrate")

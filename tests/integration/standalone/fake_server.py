@@ -33,7 +33,9 @@ def _serve(options: dict[str, str]) -> None:
 
 def _note_environment(name: str) -> None:
     told = {key: value for key, value in os.environ.items() if key.startswith("KLEINKRAM_")}
-    Path(os.environ["KLEINKRAM_INSTANCE"], f"told-{name}.json").write_text(json.dumps(told))
+    unfinished = Path(os.environ["KLEINKRAM_INSTANCE"], f"told-{name}.json.new")
+    unfinished.write_text(json.dumps(told))
+    unfinished.rename(unfinished.with_suffix(""))
 
 
 def main() -> None:

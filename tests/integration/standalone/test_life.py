@@ -120,6 +120,7 @@ def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_in
 
 def test_each_process_is_told_what_it_needs_and_no_more(shared_instance: Instance) -> None:
     shared_instance.up()
+    wait_until((shared_instance.data_dir / "told-worker.json").exists)
     told = {
         name: json.loads((shared_instance.data_dir / f"told-{name}.json").read_text())
         for name in ("migrate", "api", "worker")
