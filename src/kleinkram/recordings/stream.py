@@ -71,7 +71,10 @@ class ForwardStream:
 
         Raises:
             Cut: there are fewer.
+            Malformed: `length` is negative: a record claims to end before the fields that it must have.
         """
+        if length < 0:
+            raise Malformed(f"byte {self.position}", "a record that is too short for its fields")
         while length:
             at_hand = min(length, len(self._window) - self._at)
             if at_hand:

@@ -56,9 +56,9 @@ class SparseFile(io.RawIOBase):
         check_range(self, offset, length)
         out = bytearray(length)
         number = max(0, bisect_right(self._starts, offset) - 1)
-        for start, piece in zip(self._starts[number:], self._pieces[number:], strict=True):
-            if start >= offset + length:
-                break
+        while number < len(self._starts) and self._starts[number] < offset + length:
+            start, piece = self._starts[number], self._pieces[number]
+            number += 1
             part = piece[max(0, offset - start) : offset + length - start]
             out[max(0, start - offset) : max(0, start - offset) + len(part)] = part
         return bytes(out)

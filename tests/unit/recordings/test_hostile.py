@@ -187,6 +187,14 @@ def test_a_wrong_chunk_checksum_keeps_the_other_chunks() -> None:
     assert "checksum" in summary.reason
 
 
+def test_a_chunk_whose_name_reaches_beyond_it() -> None:
+    head = struct.pack("<QQQII", 0, 0, 100, 0, 50)
+    summary = summarise_bytes(mcap_of(record(records.CHUNK, head + b"zstd")))
+    assert summary.content is Content.broken
+    assert summary.reason is not None
+    assert "too short" in summary.reason
+
+
 def test_more_channels_than_any_robot_has() -> None:
     channels = b"".join(
         record(records.CHANNEL, struct.pack("<HHI", number, 0, 5) + b"/" + b"%04x" % number + bytes(8))
