@@ -23,10 +23,14 @@ def crc64(body: bytes) -> str:
     return int(crc64nvme(body)).to_bytes(8, "big").hex()
 
 
+def md5(body: bytes) -> str:
+    """Lower-case hex."""
+    return hashlib.md5(body).hexdigest()
+
+
 def checksum(kind: str, body: bytes) -> str:
     """The checksum that an upload asks for."""
-    kinds = {"crc64nvme": crc64, "sha256": sha256, "md5": lambda body: hashlib.md5(body).hexdigest()}
-    return kinds[kind](body)
+    return {"crc64nvme": crc64, "sha256": sha256, "md5": md5}[kind](body)
 
 
 def begin(api: Api, mission_id: str, files: Mapping[str, bytes], *, hashed: bool = True, **more: Any) -> list[Any]:
