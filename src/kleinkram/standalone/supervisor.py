@@ -15,7 +15,7 @@ from collections.abc import Callable
 from datetime import datetime, timezone
 
 import kleinkram
-from kleinkram.standalone import child, health, postgres, s3, store
+from kleinkram.standalone import child, health, postgres, s3, schema, store
 from kleinkram.standalone.data_dir import (
     DataDir,
     create,
@@ -171,6 +171,8 @@ class Supervisor:
         return proven
 
     def _migrate(self) -> None:
+        if schema.is_noted(self.plan.data_dir, self.plan.postgres):
+            return
         command = self.plan.server_process("migrate")
         running = launch(Part("migrate", lambda: child.spawn(command), command.log, signal.SIGTERM, stop_timeout_s=15))
         try:
@@ -180,6 +182,7 @@ class Supervisor:
             running.stop()
         if running.child.returncode != 0:
             raise _ended(running)
+        schema.note(self.plan.data_dir, self.plan.postgres)
 
     def _look_after(self, running: RunningPart) -> None:
         name = running.part.name
