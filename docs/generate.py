@@ -4,8 +4,8 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import click
 import typer
 from pydantic_core import PydanticUndefined
 
@@ -72,26 +72,27 @@ def cli_reference() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _commands(command: click.Command, path: list[str]) -> Iterator[tuple[list[str], click.Command]]:
-    if not isinstance(command, click.Group):
+def _commands(command: Any, path: list[str]) -> Iterator[tuple[list[str], Any]]:
+    # Any: which click it is, Typer's own copy or the library, is Typer's business.
+    if not hasattr(command, "list_commands"):
         yield path, command
         return
-    context = click.Context(command, info_name=path[-1])
+    context = command.context_class(command, info_name=path[-1])
     for name in sorted(command.list_commands(context)):
         child = command.get_command(context, name)
         if child is not None and not child.hidden:
             yield from _commands(child, [*path, name])
 
 
-def _section(path: list[str], command: click.Command) -> list[str]:
-    context = click.Context(command, info_name=" ".join(path))
+def _section(path: list[str], command: Any) -> list[str]:
+    context = command.context_class(command, info_name=" ".join(path))
     usage = " ".join([*path, *command.collect_usage_pieces(context)])
     lines = [f"## `{' '.join(path)}`", "", f"    {usage}", "", (command.help or "").strip(), ""]
     rows = [record for parameter in command.get_params(context) if (record := parameter.get_help_record(context))]
     rows = [(names, text) for names, text in rows if "--help" not in names]
     if rows:
         lines += ["| option | meaning |", "|---|---|"]
-        lines += [f"| `{names}` | {' '.join(text.split())} |".replace("[", "\\[") for names, text in rows]
+        lines += ["| `{}` | {} |".format(*(" ".join(each.split()).replace("|", "\\|") for each in row)) for row in rows]
         lines.append("")
     return lines
 

@@ -32,9 +32,6 @@ class Settings(BaseSettings):
             description="The store's address as clients reach it: part of every signature. Default: the internal one."
         ),
     ] = None
-    s3_runner_url: Annotated[
-        str | None, Field(description="The store's address as action runners reach it. Default: the public one.")
-    ] = None
     s3_bucket: Annotated[str, Field(min_length=3, description="The bucket; it must exist.")] = "kleinkram"
     s3_region: Annotated[str, Field(description="The region that signatures name.")] = "us-east-1"
     s3_access_key: Annotated[
