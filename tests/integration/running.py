@@ -55,9 +55,16 @@ class Api:
     admin_url: str
     _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
 
-    def call(self, method: str, path: str, body: object = None, query: Query = (), **headers: str) -> Answer:
-        """Make one request to `/api/v1{path}` as the owner."""
-        sent = {"Authorization": f"Bearer {self.token}", **headers}
+    def call(
+        self,
+        method: str,
+        path: str,
+        body: object = None,
+        query: Query = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> Answer:
+        """Make one request to `/api/v1{path}`, as the owner unless `headers` say otherwise."""
+        sent = {"Authorization": f"Bearer {self.token}", **(headers or {})}
         data = None
         if body is not None:
             sent["Content-Type"] = "application/json"

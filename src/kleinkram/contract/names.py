@@ -13,6 +13,8 @@ from pydantic import AfterValidator, Field
 MAX_NAME_CHARACTERS = 128
 MAX_PATH_CHARACTERS = 1024
 MAX_PATH_PART_BYTES = 255
+# What an index entry of the database holds, as UTF-8 of the path or its key.
+MAX_PATH_BYTES = 2400
 MAX_LABEL_CHARACTERS = 64
 MAX_TERM_CHARACTERS = 1024
 
@@ -71,6 +73,9 @@ def check_file_path(path: str) -> str:
         raise ValueError("holds a backslash, which other systems read as a folder separator")
     if len(path) > MAX_PATH_CHARACTERS:
         raise ValueError(f"has {len(path)} characters; {MAX_PATH_CHARACTERS} are allowed")
+    size_bytes = max(len(path.encode()), len(name_key(path).encode()))
+    if size_bytes > MAX_PATH_BYTES:
+        raise ValueError(f"has {size_bytes} bytes; {MAX_PATH_BYTES} are allowed")
     for part in path.split("/"):
         if part in {"", ".", ".."}:
             raise ValueError(f"holds the part {part!r}, which would leave or blur its place")

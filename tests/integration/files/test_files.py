@@ -1,6 +1,7 @@
 """Files through HTTP: renaming, moving, labelling, deleting. The bytes are no part of it."""
 
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -170,3 +171,24 @@ def test_asking_for_proof_enqueues_it(api: Api, sample: Sample, mission: str) ->
     assert api.post(f"/files/{file_id}/prove").ok(202)["id"] == file_id
     found = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
     assert found == [(1,)]
+
+
+def test_two_who_want_paths_that_exclude_each_other_cannot_both_have_them(
+    api: Api, sample: Sample, mission: str
+) -> None:
+    for round_ in range(5):
+        ids = [sample.file(mission, f"{round_} {name}") for name in ("first", "second")]
+        bodies = [{"path": f"{round_} x"}, {"path": f"{round_} X/y"}]
+        with ThreadPoolExecutor(2) as pool:
+            answers = list(
+                pool.map(lambda each: api.patch(f"/files/{each[0]}", each[1]), zip(ids, bodies, strict=True))
+            )
+        assert sorted(answer.status for answer in answers) == [200, 409]
+
+
+def test_the_longest_paths_fit_and_longer_ones_are_refused(api: Api, sample: Sample, mission: str) -> None:
+    letters = "".join(chr(0x1F300 + number * 7 % 700) for number in range(60))
+    file_id = sample.file(mission, "a.mcap")
+    path = "/".join([letters] * 9)
+    assert api.patch(f"/files/{file_id}", {"path": path}).ok()["path"] == path
+    api.patch(f"/files/{file_id}", {"path": "/".join([letters] * 12)}).refused(422, "invalid_request")

@@ -1,6 +1,7 @@
 """Missions through HTTP."""
 
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -166,3 +167,28 @@ def test_sorts_and_puts_missions_without_time_last(api: Api) -> None:
     for sort, names in expected.items():
         listed = api.all("/missions", {"project_id": project["id"], "sort": sort, "limit": "2"})
         assert "".join(mission["name"] for mission in listed) == names, sort
+
+
+def test_of_two_who_want_one_name_one_has_it(api: Api) -> None:
+    project = api.project()
+    path = f"/projects/{project['id']}/missions"
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda name: api.post(path, {"name": name}), ["Run", "RUN", "run", "rUn"]))
+    assert sorted(answer.status for answer in answers) == [201, 409, 409, 409]
+    assert len(api.all("/missions", {"project_id": project["id"]})) == 1
+
+
+def test_missions_made_while_fields_change_are_judged_by_the_old_or_the_new(api: Api) -> None:
+    project = api.project()
+    fields = "fields: [{name: robot, type: string, required: true}]"
+    path = f"/projects/{project['id']}"
+    moving = api.mission(project["id"])
+    with ThreadPoolExecutor(4) as pool:
+        made = [pool.submit(api.post, f"{path}/missions", {"name": f"run {number}"}) for number in range(8)]
+        changed = pool.submit(api.patch, path, {"fields_yaml": fields})
+        edited = pool.submit(api.patch, f"/missions/{moving['id']}", {"metadata_yaml": "robot: spot\n"})
+        changed.result().ok()
+        edited.result().ok()
+        assert {answer.result().status for answer in made} <= {201, 422}
+    for mission in api.all("/missions", {"project_id": project["id"]}):
+        assert bool(mission["metadata_problems"]) == ("robot" not in mission["metadata"])

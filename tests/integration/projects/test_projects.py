@@ -75,7 +75,7 @@ def test_refuses_what_it_does_not_know(api: Api) -> None:
 
 
 def test_who_is_not_known_is_told_so(api: Api) -> None:
-    refused = api.call("GET", "/projects", Authorization="Bearer wrong").refused(401, "not_authenticated")
+    refused = api.call("GET", "/projects", headers={"Authorization": "Bearer wrong"}).refused(401, "not_authenticated")
     assert "token" in refused["detail"]
 
 

@@ -114,7 +114,10 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         NameTaken: the project has a mission of that name.
     """
     document = None if changes.metadata_yaml is None else await asyncio.to_thread(read_metadata, changes.metadata_yaml)
-    await get_mission_row(db, actor, mission_id)
+    row = await get_mission_row(db, actor, mission_id)
+    if document is not None or changes.project_id is not None:
+        # Project before mission, as where a project's fields change, so that the two never wait for each other.
+        await _project(db, actor, changes.project_id or row.project_id)
     await db.execute(queries.lock_mission(mission_id))
     old = await get_mission(db, actor, mission_id)
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)

@@ -1,0 +1,39 @@
+"""The YAML to fill in: whatever the last mission said, it parses and says the same."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kleinkram.contract.metadata import FieldType, Metadata, MetadataField, MetadataFields, Undeclared
+from kleinkram.server.missions.metadata import read_metadata, satisfying
+from kleinkram.server.missions.template import write_template
+
+_TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=40)
+_SCALAR = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63) + 1, 2**63 - 1)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | _TEXT
+    | st.sampled_from(["null", "~", "yes", "true", "1e3", "- a", "a: b", "#", "a #b", "2024-05-31", "0x1F", ""])
+)
+_VALUE = st.recursive(
+    _SCALAR,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(_TEXT, inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(_TEXT, _VALUE, max_size=5), _TEXT, _TEXT)
+def test_what_was_said_is_said_again(metadata: Metadata, project: str, mission: str) -> None:
+    text = write_template(MetadataFields(), project=project, last=(mission, metadata))
+    assert read_metadata(text).value == metadata
+
+
+@given(_TEXT, _TEXT, st.sampled_from([kind for kind in FieldType if kind is not FieldType.choice]))
+def test_descriptions_and_units_break_nothing(description: str, unit: str, kind: FieldType) -> None:
+    field = MetadataField(
+        name="a", type=kind, description=description, unit=unit[:32] if kind is FieldType.number else None
+    )
+    fields = MetadataFields(fields=[field], undeclared=Undeclared.refuse)
+    text = write_template(fields, project="p", last=("m", {"b": 1}))
+    assert satisfying(read_metadata(text), fields) == {}

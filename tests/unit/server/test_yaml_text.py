@@ -1,0 +1,92 @@
+"""Reading YAML from strangers: whatever the text, plain values or a place where it went wrong."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kleinkram.contract.errors import YamlInvalid
+from kleinkram.server.yaml_text import MAX_NODES, Place, read_yaml
+
+# fmt: off
+_PIECES = [
+    "a", "b: ", "- ", "\n", "  ", "\t", "[", "]", "{", "}", ",", "? ", ": ", '"', "'", "\\x", "\\U9999", "&x ", "*x ",
+    "!t ", "!<x>", "%YAML 1.2\n", "%TAG ! x\n", "---\n", "...\n", "#c\n", "|\n", ">+\n", "1e5", ".inf", "0x", "~",
+    "\r", "\u2028", "\x85", "\ufeff", "<<: ", "é", "%ff", "\\\n", ">9", "\x00",
+]
+# fmt: on
+_LINE_ENDS = "\n\r\x85\u2028"
+
+
+def _refusal(text: str) -> YamlInvalid | None:
+    try:
+        read_yaml(text)
+    except YamlInvalid as error:
+        return error
+    return None
+
+
+@given(st.lists(st.sampled_from(_PIECES), max_size=16).map("".join))
+def test_any_text_is_read_or_refused_with_a_place(text: str) -> None:
+    refusal = _refusal(text)
+    if refusal is not None:
+        assert 1 <= refusal.line <= sum(text.count(end) for end in _LINE_ENDS) + 1
+        assert refusal.column >= 1
+        assert refusal.reason
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("", None),
+        ("# nothing\n", None),
+        ("yes", "yes"),
+        ("True", True),
+        ("~", None),
+        ("2024-05-31", "2024-05-31"),
+        ("0o17", 15),
+        ("0x1F", 31),
+        ("-7", -7),
+        ("1.", 1.0),
+        (".5e1", 5.0),
+        ("1_000", "1_000"),
+        ("12:30", "12:30"),
+        ("'7'", "7"),
+        ("|\n  two\n  lines\n", "two\nlines\n"),
+        ("-.inf", -math.inf),
+        ("[a, {b: c}]", ["a", {"b": "c"}]),
+        ("%YAML 1.1\n---\nyes\n", "yes"),
+        ("9223372036854775807", 2**63 - 1),
+    ],
+)
+def test_scalars_follow_the_core_schema(text: str, value: object) -> None:
+    assert read_yaml(text).value == value
+
+
+def test_every_value_has_its_place() -> None:
+    document = read_yaml("a: 1\nb:\n  - x\n  - c: 2\n")
+    assert document.place(("b", 1, "c")) == Place(4, 5)
+    assert document.place(("b", 1, "absent")) == Place(4, 5)
+    assert document.place(("b", 1)) == Place(4, 5)
+    assert document.place(("absent",)) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000,
+        "{a: " * 40_000,
+        "- " * 90_000,
+        "[" + "a," * 99_000,
+        "&a [*a]",
+        "? " * 90_000,
+        f"{'k' * 201}: 1",
+        '"\\U99999999"',
+        "- " * 5 + "x\n" + "- y\n" * MAX_NODES,
+    ],
+    ids=["brackets", "braces", "dashes", "items", "alias", "keys", "long key", "escape", "nodes"],
+)
+def test_what_would_grow_without_bound_is_given_up(text: str) -> None:
+    with pytest.raises(YamlInvalid):
+        read_yaml(text)
