@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Row, Select, bindparam, delete, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.recordings import GroupKind, RecordingGroup, Rosbag2Metadata, group
+from kleinkram.recordings import RecordingGroup, Rosbag2Metadata, group
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import blob, file, mission, recording
 
@@ -62,7 +62,7 @@ def _derive_one(each: RecordingGroup, by_path: Mapping[str, Row[Any]], stated: R
     counts = [row.message_count for row in members]
     count = sum(counts) if None not in counts else None
     values: dict[str, Any] = {
-        "name": _name(each),
+        "name": each.name,
         "kind": each.kind.value,
         "start_ns": min(starts, default=None),
         "end_ns": max(ends, default=None),
@@ -72,13 +72,6 @@ def _derive_one(each: RecordingGroup, by_path: Mapping[str, Row[Any]], stated: R
         "problems": [],
     }
     return Derived(each, values | (_compared(each, stated, count) if stated else {}))
-
-
-def _name(each: RecordingGroup) -> str:
-    """Return a name that no other recording of the mission has: `run.bag` and `run.mcap` are two recordings."""
-    if each.kind is GroupKind.single:
-        return each.members[0]
-    return each.name + (PurePosixPath(each.members[0]).suffix if each.kind is GroupKind.split_set else "")
 
 
 def _compared(each: RecordingGroup, stated: Rosbag2Metadata, count: int | None) -> dict[str, Any]:
@@ -102,7 +95,7 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
         ids |= await _upsert(db, mission_id, derived[start : start + _INSERT_BATCH])
     gone = delete(recording).where(recording.c.mission_id == mission_id, recording.c.id.not_in(list(ids.values())))
     await db.execute(gone)
-    owner = {path: ids[each.values["name"], each.values["kind"]] for each in derived for path in _paths(each.group)}
+    owner = {path: ids[each.group.name, each.group.kind.value] for each in derived for path in _paths(each.group)}
     links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in rows]
     if links:
         statement = update(file).where(
