@@ -33,6 +33,8 @@ _START_TIMEOUT_S = 120.0
 _STORE_PATIENCE_S = 1.5
 _STORE_STARTS = 5
 _LOGS_EVERY_S = 5.0
+# A job that is cut short is done again: nobody should wait long for the worker to finish one.
+_STOP_TIMEOUTS_S = {"worker": 5.0}
 _WATCHED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD}
 
 
@@ -123,7 +125,7 @@ class Supervisor:
     def _launch(
         self, name: str, start: Callable[[], "subprocess.Popen[bytes]"], *, stop_signal: signal.Signals = signal.SIGTERM
     ) -> RunningPart:
-        part = Part(name, start, self.plan.data_dir.log(name), stop_signal, stop_timeout_s=15)
+        part = Part(name, start, self.plan.data_dir.log(name), stop_signal, _STOP_TIMEOUTS_S.get(name, 15.0))
         self.parts[name] = launch(part)
         return self.parts[name]
 
