@@ -10,7 +10,7 @@ from kleinkram.contract.audit import AuditRead
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.audit import reading
+from kleinkram.server.audit import service
 from kleinkram.server.db import Transaction
 from kleinkram.server.pages import PageRequest
 
@@ -35,6 +35,6 @@ async def list_audit_events(
 ) -> Page[AuditRead]:
     """List what happened, latest first."""
     page = PageRequest(query.limit, query.cursor)
-    return await reading.list_events(
+    return await service.list_events(
         db, actor, page=page, noun=query.noun, noun_id=query.noun_id, project_id=query.project_id
     )

@@ -1,4 +1,4 @@
-"""Writing the record."""
+"""Writing the record, and reading it."""
 
 import uuid
 from collections.abc import Sequence
@@ -6,9 +6,13 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import insert
 
+from kleinkram.contract.audit import AuditRead
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit import queries
 from kleinkram.server.db import Connection
+from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
 
 
@@ -40,3 +44,22 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
         "request_id": actor.request_id if actor else None,
     }
     await db.execute(insert(audit_event), [{**vars(event), **who} for event in events])
+
+
+async def list_events(
+    db: Connection,
+    actor: Actor,
+    *,
+    page: PageRequest,
+    noun: str | None = None,
+    noun_id: uuid.UUID | None = None,
+    project_id: uuid.UUID | None = None,
+) -> Page[AuditRead]:
+    """Return a page of events, latest first.
+
+    Raises:
+        InvalidCursor: the cursor is not of this list.
+    """
+    statement = queries.events_about(actor, noun=noun, noun_id=noun_id, project_id=project_id)
+    rows = await fetch_page(db, statement, queries.AUDIT_ORDER, page)
+    return Page(items=[queries.to_event(row) for row in rows.items], next=rows.next, total=rows.total)

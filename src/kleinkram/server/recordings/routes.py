@@ -9,7 +9,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.access.actor import CurrentActor
 from kleinkram.server.db import Transaction
 from kleinkram.server.pages import PageRequest
-from kleinkram.server.recordings import reading
+from kleinkram.server.recordings import service
 
 router = APIRouter(prefix="/api/v1", tags=["recordings"])
 
@@ -23,10 +23,10 @@ async def list_recordings(
     cursor: Cursor | None = None,
 ) -> Page[RecordingRead]:
     """List the recordings of a mission, by name."""
-    return await reading.list_recordings(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
+    return await service.list_recordings(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
 
 
 @router.get("/recordings/{recording_id}", operation_id="get_recording")
 async def get_recording(recording_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RecordingRead:
     """Return one recording."""
-    return await reading.get_recording(db, actor, recording_id)
+    return await service.get_recording(db, actor, recording_id)
