@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from kleinkram.standalone.ports import choose_port
+
 KLEIN = Path(sys.executable).parent / "klein"
 PATIENCE_S = 60.0
 
@@ -38,7 +40,7 @@ class Terminal:
     home: Path
     environment: dict[str, str]
 
-    def run(self, *arguments: str | Path, code: int | None = 0, stdin: str = "") -> Ran:
+    def run(self, *arguments: object, code: int | None = 0, stdin: str = "") -> Ran:
         """Run a command to its end and check its exit code, unless that is None."""
         done = subprocess.run(
             self.command(*arguments), env=self.environment, input=stdin, capture_output=True, text=True, timeout=100
@@ -47,13 +49,13 @@ class Terminal:
         assert code is None or ran.code == code, f"klein {arguments}: {ran}"
         return ran
 
-    def start(self, *arguments: str | Path) -> "subprocess.Popen[str]":
+    def start(self, *arguments: object) -> "subprocess.Popen[str]":
         """Start a command and leave it running."""
         return subprocess.Popen(
             self.command(*arguments), env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
 
-    def command(self, *arguments: str | Path) -> list[str]:
+    def command(self, *arguments: object) -> list[str]:
         """The command line."""
         return [str(KLEIN), *(str(argument) for argument in arguments)]
 
@@ -104,7 +106,8 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
     """One instance for all stories."""
     home = tmp_path_factory.mktemp("up")
     environment = _environment(home, home / "data")
-    process = subprocess.Popen([str(KLEIN), "up"], env=environment, stdout=subprocess.PIPE, text=True)
+    ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the usual ones may be somebody's
+    process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline(), "klein up did not start"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.acceptance.conftest import Terminal
+from tests.acceptance.conftest import Terminal, end
 
 FIELDS = """\
 undeclared: refuse
@@ -166,7 +166,7 @@ def test_json_stands_alone_on_stdout(terminal: Terminal, project: str, tmp_path:
         "sha256",
         "error",
     }
-    for command in (
+    commands: list[list[object]] = [
         ["project", "list"],
         ["project", "info", project],
         ["mission", "list", "-p", project],
@@ -184,8 +184,12 @@ def test_json_stands_alone_on_stdout(terminal: Terminal, project: str, tmp_path:
         ["verify", "-p", project, "-m", "m", tmp_path / "a.bin"],
         ["verify", "-p", project, "-m", "m", "--remote"],
         ["download", "-p", project, "--dest", tmp_path / "d"],
-    ):
-        assert isinstance(terminal.run(*command, "--json").json(), dict), command
+    ]
+    running = [(command, terminal.start(*command, "--json")) for command in commands]
+    for command, process in running:
+        ended = end(process)
+        assert ended.code == 0, (command, ended)
+        assert isinstance(ended.json(), dict), command
 
 
 def test_endpoints_are_chosen_and_say_why(terminal: Terminal) -> None:

@@ -13,9 +13,10 @@ PART = 8 * MIB
 
 
 def random_file(path: Path, size: int) -> Path:
-    """Write a file nobody has."""
+    """Write a file nobody has, as if a while ago: what was written just now is watched for a second."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(os.urandom(size))
+    os.utime(path, (1_700_000_000, 1_700_000_000))
     return path
 
 

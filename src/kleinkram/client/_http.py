@@ -3,6 +3,7 @@
 Never moves the bytes of files; those go straight to the store (`transfer/`). Safe to share between threads.
 """
 
+import json
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -159,9 +160,19 @@ class Api:
         try:
             problem = ProblemDocument.model_validate_json(answer.data)
         except ValidationError:
-            code = f"status {answer.status} and no problem document this client knows"
-            return remember_request(self._not_understood(what, code), answer.headers.get("X-Request-Id", request_id))
+            reason = f"status {answer.status}{_said(answer.data)}"
+            return remember_request(self._not_understood(what, reason), answer.headers.get("X-Request-Id", request_id))
         return remember_request(from_problem(problem), problem.request_id or request_id)
+
+
+def _said(body: bytes) -> str:
+    """Return what a failure that this client has no class for says of itself: a newer server's, or a proxy's."""
+    try:
+        problem = json.loads(body)
+    except ValueError:
+        return " without a word that it knows"
+    detail = problem.get("detail") if isinstance(problem, dict) else None
+    return f", {detail}" if isinstance(detail, str) else " without a word that it knows"
 
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:

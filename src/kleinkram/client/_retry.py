@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 FIRST_WAIT_S = 0.25
-LONGEST_WAIT_S = 10.0
+LONGEST_WAIT_S = 4.0
 
 
 class Backoff:

@@ -1,0 +1,69 @@
+"""Every failure has an exit code, and scripts can rely on it."""
+
+import pytest
+
+from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, Refused, exit_code_of, explain
+from kleinkram.client import errors as local
+from kleinkram.client.errors import ClientError, remember_request
+from kleinkram.contract.errors import ERRORS, FieldProblem, KleinkramError, MetadataInvalid, NotFound
+
+
+def test_every_failure_has_an_exit_code() -> None:
+    ours = {
+        cls
+        for cls in vars(local).values()
+        if isinstance(cls, type) and issubclass(cls, ClientError) and cls is not ClientError
+    }
+    assert set(EXIT_CODES) == {*ERRORS.values(), *ours, Interrupted, Refused}
+    assert 0 not in {int(code) for code in EXIT_CODES.values()}
+
+
+def test_numbers_never_change() -> None:
+    assert {code.name: code.value for code in ExitCode} == {
+        "server_failed": 1,
+        "usage": 2,
+        "not_found": 3,
+        "not_allowed": 4,
+        "conflict": 5,
+        "metadata": 6,
+        "unreachable": 7,
+        "local_file": 8,
+        "bytes_differ": 9,
+        "several": 10,
+        "destination": 11,
+        "timed_out": 12,
+        "interrupted": 130,
+    }
+
+
+def test_several_failures_of_one_kind_keep_it() -> None:
+    changed = local.FileChanged(path="a", reason="b")
+    left_out = local.StillRecording(path="a", reason="b")
+    gone: KleinkramError = NotFound(noun="file", ref="x")
+    assert exit_code_of([]) == 0
+    assert exit_code_of([left_out]) == 0
+    assert exit_code_of([changed, changed, left_out]) == ExitCode.local_file
+    assert exit_code_of([changed, gone]) == ExitCode.several
+
+
+def test_a_failure_is_said_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    assert explain(remember_request(NotFound(noun="file", ref="evil\x1b[2J"), "abc")) == 3
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "Request id: abc" in said.err
+    assert "\x1b" not in said.err
+
+
+def test_all_problems_are_said_with_their_place(capsys: pytest.CaptureFixture[str]) -> None:
+    problems = [
+        FieldProblem(field="robot", message="is missing"),
+        FieldProblem(field="t", message="is not a number", line=2, column=4),
+    ]
+    assert explain(MetadataInvalid(problems)) == ExitCode.metadata
+    said = capsys.readouterr().err
+    assert "robot: is missing" in said
+    assert "t (line 2, column 4): is not a number" in said
+
+
+def test_a_bug_is_not_explained_away() -> None:
+    assert explain(KeyError("x")) is None

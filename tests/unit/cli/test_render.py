@@ -1,0 +1,51 @@
+"""What a terminal shows."""
+
+import pytest
+
+from kleinkram.cli.render import details, escape, show_json, table
+from kleinkram.client.transfer import Outcome
+
+
+@pytest.mark.parametrize(
+    ("hostile", "shown"),
+    [
+        ("\x1b[31mred\x07", "\\x1b[31mred\\x07"),
+        ("two\nlines\r", "two\\x0alines\\x0d"),
+        ("abc\u202egnp.exe", "abc\\u202egnp.exe"),
+        ("\x9b2J", "\\x9b2J"),
+        ("zero\u200bwidth", "zero\\u200bwidth"),
+        ("\udcff", "\\udcff"),
+        ("grüße 🤖 文", "grüße 🤖 文"),
+    ],
+)
+def test_what_a_terminal_could_obey_is_escaped(hostile: str, shown: str) -> None:
+    assert escape(hostile) == shown
+
+
+def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.CaptureFixture[str]) -> None:
+    table(["name", "count"], [("a", 5), ("文字\x1b", 12345), ("none", None)])
+    assert capsys.readouterr().out.splitlines() == [
+        "NAME      COUNT",
+        "a             5",
+        "文字\\x1b  12345",
+        "none          -",
+    ]
+
+
+def test_an_empty_table_says_so_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    table(["name"], [])
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err
+
+
+def test_details_leave_out_what_is_not_known(capsys: pytest.CaptureFixture[str]) -> None:
+    details([("name", "x"), ("nothing", None), ("empty", ""), ("count", 0), ("long name", True)])
+    assert capsys.readouterr().out.splitlines() == ["name:      x", "count:     0", "long name: yes"]
+
+
+def test_json_has_plain_values(capsys: pytest.CaptureFixture[str]) -> None:
+    show_json({"outcome": Outcome.present, "items": [{"a": 1}], "name": "\x1b"})
+    assert capsys.readouterr().out == (
+        '{\n  "outcome": "present",\n  "items": [\n    {\n      "a": 1\n    }\n  ],\n  "name": "\\u001b"\n}\n'
+    )

@@ -1,0 +1,103 @@
+"""Which server, and why."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client.config import (
+    EndpointSource,
+    add_endpoint,
+    endpoints_file,
+    find_endpoint,
+    load_endpoints,
+    normal_url,
+    remove_endpoint,
+    use_endpoint,
+)
+from kleinkram.client.errors import ConfigurationBroken, InvalidInput, NoSuchEndpoint, NotConfigured
+
+
+@pytest.fixture(autouse=True)
+def _own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("KLEINKRAM_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.delenv("KLEINKRAM_URL", raising=False)
+    monkeypatch.delenv("KLEINKRAM_TOKEN", raising=False)
+
+
+@pytest.fixture
+def local(tmp_path: Path) -> Path:
+    """An instance of `klein up`."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "token").write_text("local-token\n")
+    instance = tmp_path / "data" / "instance.json"
+    instance.write_text(json.dumps({"url": "http://127.0.0.1:8000", "token_file": "token", "more": 1}))
+    return instance
+
+
+def test_nothing_known_says_what_to_do() -> None:
+    with pytest.raises(NotConfigured, match="klein up"):
+        find_endpoint()
+
+
+def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.local, "local-token")
+    add_endpoint("lab", "https://lab/", "lab-token")
+    assert (find_endpoint().source, find_endpoint().url) == (EndpointSource.chosen, "https://lab")
+    monkeypatch.setenv("KLEINKRAM_URL", "http://env:1")
+    monkeypatch.setenv("KLEINKRAM_TOKEN", "env-token")
+    assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.environment, "env-token")
+    given = find_endpoint("http://arg:1", "arg-token")
+    assert (given.source, given.token) == (EndpointSource.argument, "arg-token")
+
+
+def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_endpoint("lab", "https://lab", "lab-token")
+    monkeypatch.setenv("KLEINKRAM_URL", "https://lab")
+    assert find_endpoint().token == "lab-token"
+    monkeypatch.setenv("KLEINKRAM_URL", "http://127.0.0.1:8000/")
+    assert find_endpoint().token == "local-token"
+    monkeypatch.setenv("KLEINKRAM_URL", "https://elsewhere")
+    with pytest.raises(NotConfigured, match="https://elsewhere"):
+        find_endpoint()
+
+
+def test_the_file_is_for_its_owner_alone() -> None:
+    add_endpoint("lab", "https://lab", "secret")
+    assert endpoints_file().stat().st_mode & 0o777 == 0o600
+    use_endpoint("lab")
+    assert endpoints_file().stat().st_mode & 0o777 == 0o600
+
+
+def test_choosing_and_removing() -> None:
+    add_endpoint("lab", "https://lab", "a")
+    add_endpoint("field", "https://field", "b")
+    assert find_endpoint().name == "lab", "the first is chosen, the second is not"
+    use_endpoint("field")
+    assert find_endpoint().name == "field"
+    remove_endpoint("field")
+    assert load_endpoints().current is None
+    for refused in (use_endpoint, remove_endpoint):
+        with pytest.raises(NoSuchEndpoint, match="lab"):
+            refused("field")
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"endpoints": 3}'])
+def test_a_broken_file_is_named(content: str) -> None:
+    endpoints_file().parent.mkdir(parents=True)
+    endpoints_file().write_text(content)
+    with pytest.raises(ConfigurationBroken, match=r"endpoints\.json"):
+        find_endpoint()
+
+
+def test_a_broken_instance_is_named(local: Path) -> None:
+    local.write_text("{}")
+    with pytest.raises(ConfigurationBroken, match=r"instance\.json"):
+        find_endpoint()
+
+
+@pytest.mark.parametrize("url", ["lab", "ftp://lab", "http://", "http://lab:port", "http://lab:99999"])
+def test_what_is_no_url_is_refused(url: str) -> None:
+    with pytest.raises(InvalidInput):
+        normal_url(url)

@@ -1,0 +1,67 @@
+"""Every failure has a sentence that says what, where and what to do."""
+
+from dataclasses import fields
+
+import pytest
+
+from kleinkram.client import errors
+from kleinkram.client._http import query_of, reason_of
+from kleinkram.client.checking import checked
+from kleinkram.client.errors import ClientError, InvalidInput, remember_request, request_id_of
+from kleinkram.client.transfer._store import Answer, meaning
+from kleinkram.contract.errors import InternalError, NotFound
+from kleinkram.contract.files import BlobState, FileFilter
+from kleinkram.contract.projects import ProjectCreate
+
+CLASSES = [cls for cls in vars(errors).values() if isinstance(cls, type) and issubclass(cls, ClientError)]
+
+
+@pytest.mark.parametrize("cls", [cls for cls in CLASSES if cls is not ClientError])
+def test_a_sentence_names_all_it_knows(cls: type[ClientError]) -> None:
+    given = {field.name: 7.5 if field.name == "seconds" else f"<{field.name}>" for field in fields(cls)}
+    sentence = str(cls(**given))
+    assert all(str(value) in sentence for value in given.values())
+    assert sentence.endswith((".", "?"))
+    assert "{" not in sentence
+
+
+def test_the_request_id_stays_with_the_error() -> None:
+    error = remember_request(NotFound(noun="file", ref="x"), "abc")
+    assert request_id_of(error) == "abc"
+    assert str(error) == "There is no file 'x' that you may see."
+    assert request_id_of(remember_request(InternalError(request_id="unknown"), "abc")) == "abc"
+    assert request_id_of(remember_request(InternalError(request_id="theirs"), "abc")) == "theirs"
+    assert request_id_of(ValueError()) is None
+
+
+def test_a_wrong_name_is_refused_before_it_is_sent() -> None:
+    with pytest.raises(InvalidInput, match=r"name.*control character"):
+        checked(ProjectCreate, "The project", name="a\nb")
+
+
+def test_a_filter_says_only_what_was_said() -> None:
+    query = query_of(FileFilter(topic=["/a", "/b"], state=[BlobState.lost]), limit=5, cursor=None, count=True)
+    assert query == [("topic", "/a"), ("topic", "/b"), ("state", "lost"), ("limit", "5"), ("count", "true")]
+
+
+def test_reasons_are_short_and_hold_no_address() -> None:
+    error = ConnectionError("outer")
+    error.__cause__ = ConnectionRefusedError(111, "Connection refused")
+    assert reason_of(error) == "Connection refused"
+    assert reason_of(TimeoutError()) == "it took too long"
+
+
+@pytest.mark.parametrize(
+    ("status", "answer"),
+    [
+        (403, Answer.sign_again),
+        (404, Answer.gone),
+        (400, Answer.refused),
+        (408, Answer.try_again),
+        (429, Answer.try_again),
+        (500, Answer.try_again),
+        (503, Answer.try_again),
+    ],
+)
+def test_what_a_store_means(status: int, answer: Answer) -> None:
+    assert meaning(status) is answer

@@ -1,0 +1,28 @@
+"""What the SDK shows to the world, and what asking for it costs."""
+
+import subprocess
+import sys
+
+import kleinkram
+import kleinkram.client
+import kleinkram.client.transfer
+from kleinkram.client.config import Endpoint, EndpointSource
+
+
+def test_the_package_exports_what_it_says() -> None:
+    assert kleinkram.__all__ == ["Client", "__version__", "connect"]
+    assert kleinkram.connect is kleinkram.client.connect
+    for module in (kleinkram, kleinkram.client, kleinkram.client.transfer):
+        for name in module.__all__:
+            assert getattr(module, name) is not None
+
+
+def test_a_client_has_one_attribute_a_noun() -> None:
+    with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
+        nouns = {name for name in vars(client) if not name.startswith("_")} - {"endpoint"}
+    assert nouns == {"projects", "missions", "files", "recordings", "uploads", "trash", "stats", "audit", "service"}
+
+
+def test_importing_the_package_imports_nothing_else() -> None:
+    program = "import sys, kleinkram; sys.exit(any(name.startswith(('pydantic', 'urllib3')) for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

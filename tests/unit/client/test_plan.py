@@ -1,0 +1,120 @@
+"""What uploading some paths means."""
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client.errors import InvalidInput, NameUnusable, NotAFile, PathsCollide, StillRecording
+from kleinkram.client.transfer import plan_upload
+
+LONG_AGO = (1_700_000_000, 1_700_000_000)
+
+
+def old_file(path: Path, content: bytes = b"x") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    os.utime(path, LONG_AGO)
+    return path
+
+
+@pytest.fixture
+def day(tmp_path: Path) -> Path:
+    old_file(tmp_path / "day" / "cam.mcap")
+    old_file(tmp_path / "day" / "bag" / "metadata.yaml")
+    return tmp_path / "day"
+
+
+@pytest.mark.parametrize(
+    ("given", "paths"),
+    [
+        ("{day}", ["day/bag/metadata.yaml", "day/cam.mcap"]),
+        ("{day}/", ["bag/metadata.yaml", "cam.mcap"]),
+        ("{day}/.", ["bag/metadata.yaml", "cam.mcap"]),
+        ("{day}/bag/..", ["bag/metadata.yaml", "cam.mcap"]),
+        ("{day}/bag", ["bag/metadata.yaml"]),
+        ("{day}/bag/metadata.yaml", ["metadata.yaml"]),
+    ],
+)
+def test_a_folder_keeps_its_tree_and_a_slash_means_its_contents(day: Path, given: str, paths: list[str]) -> None:
+    assert [file.path for file in plan_upload([given.format(day=day)]).files] == paths
+
+
+def test_a_point_means_the_contents_of_this_folder(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(day)
+    assert [file.path for file in plan_upload(["."]).files] == ["bag/metadata.yaml", "cam.mcap"]
+
+
+def test_a_file_given_twice_is_one(day: Path) -> None:
+    assert len(plan_upload([day / "cam.mcap", day / "cam.mcap"]).files) == 1
+
+
+@pytest.mark.parametrize("other", ["cam.mcap", "CAM.mcap"])
+def test_two_files_for_one_path_name_both(day: Path, tmp_path: Path, other: str) -> None:
+    second = old_file(tmp_path / "other" / other)
+    with pytest.raises(PathsCollide) as caught:
+        plan_upload([day / "cam.mcap", second])
+    assert str(day / "cam.mcap") in str(caught.value)
+    assert str(second) in str(caught.value)
+
+
+def test_what_is_no_file_is_named_and_left_out(day: Path) -> None:
+    os.mkfifo(day / "pipe")
+    (day / "loop").symlink_to(day)
+    (day / "dead").symlink_to(day / "nothing")
+    plan = plan_upload([f"{day}/"])
+    assert [file.path for file in plan.files] == ["bag/metadata.yaml", "cam.mcap"]
+    assert sorted(type(error).__name__ for error in plan.left_out) == ["FileUnreadable", "NotAFile", "NotAFile"]
+    assert any("named pipe" in str(error) for error in plan.left_out if isinstance(error, NotAFile))
+
+
+def test_links_to_files_and_links_given_are_followed(day: Path, tmp_path: Path) -> None:
+    (day / "link.mcap").symlink_to(day / "cam.mcap")
+    (tmp_path / "shortcut").symlink_to(day)
+    plan = plan_upload([tmp_path / "shortcut"])
+    assert "shortcut/link.mcap" in [file.path for file in plan.files]
+
+
+@pytest.mark.parametrize("name", [b"bad\xff.bin", b"new\nline", b"back\\slash", b"x" * 251 + b".bin"])
+def test_names_that_no_mission_takes_are_named_and_left_out(day: Path, name: bytes) -> None:
+    too_long = len(name) == 255
+    (day / os.fsdecode(name)).write_bytes(b"x")
+    plan = plan_upload([f"{day}/"], include_active=True)
+    refused = [error for error in plan.left_out if isinstance(error, NameUnusable)]
+    assert len(refused) == (0 if too_long else 1)
+    assert all("\n" not in str(error) for error in refused)
+
+
+def test_a_path_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="nowhere"):
+        plan_upload([tmp_path / "nowhere"])
+
+
+def test_active_files_are_left_out_unless_asked(day: Path) -> None:
+    old_file(day / "run.mcap.active")
+    plan = plan_upload([f"{day}/"])
+    assert [type(error) for error in plan.left_out] == [StillRecording]
+    assert len(plan_upload([f"{day}/"], include_active=True).files) == 3
+
+
+def test_a_growing_file_is_left_out_and_a_fresh_one_is_not(day: Path) -> None:
+    growing = day / "growing.mcap"
+    growing.write_bytes(b"begin")
+    (day / "fresh.mcap").write_bytes(b"done")
+    ended = threading.Event()
+
+    def record() -> None:
+        with growing.open("ab", buffering=0) as out:
+            while not ended.wait(0.05):
+                out.write(b"more")
+
+    recorder = threading.Thread(target=record)
+    recorder.start()
+    try:
+        plan = plan_upload([f"{day}/"])
+    finally:
+        ended.set()
+        recorder.join()
+    assert [file.path for file in plan.files] == ["bag/metadata.yaml", "cam.mcap", "fresh.mcap"]
+    assert [error.path for error in plan.left_out if isinstance(error, StillRecording)] == [str(growing)]
