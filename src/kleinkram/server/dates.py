@@ -5,10 +5,11 @@ import re
 
 _MIN_NS, _MAX_NS = -(2**63), 2**63 - 1
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
-_DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 _TIME = re.compile(
     r"(?P<day>\d{4}-\d{2}-\d{2})[Tt ](?P<clock>\d{2}:\d{2}(:\d{2})?)(\.(?P<fraction>\d{1,6}))?"
-    r" ?(?P<zone>[Zz]|[-+]\d{2}(:?\d{2})?)?"
+    r" ?(?P<zone>[Zz]|[-+]\d{2}(:?\d{2})?)?",
+    re.ASCII,
 )
 
 

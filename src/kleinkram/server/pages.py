@@ -69,7 +69,7 @@ async def fetch_page(db: Connection, statement: Select[Any], order: Order, reque
     paged = paged.order_by(*(column.desc() if order.descending else column.asc() for column in order.columns))
     try:
         rows = (await db.execute(paged)).all()
-    except (DataError, ProgrammingError) as error:
+    except (DataError, ProgrammingError, UnicodeEncodeError) as error:
         if request.cursor:  # well-formed, but with values that this list's columns cannot have
             raise InvalidCursor from error
         raise

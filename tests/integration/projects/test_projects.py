@@ -1,5 +1,7 @@
 """Projects through HTTP."""
 
+import base64
+import json
 import uuid
 
 import pytest
@@ -245,3 +247,31 @@ def test_a_list_takes_the_same_number_of_queries_however_long(api: Api) -> None:
             api.get("/projects", {"name": f"* {tail}"}).ok()
         counts.append(len(statements))
     assert counts == [2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["sa\x00b", "s\ud800", "i" + "9" * 30, "i5", f"u{uuid.UUID(int=5)}", "d2024-01-01", "x", ""],
+    ids=["nul", "surrogate", "huge", "number", "id", "date", "nothing", "empty"],
+)
+@pytest.mark.parametrize("sort", ["name", "created"])
+def test_a_forged_cursor_is_refused_or_leads_nowhere_else(api: Api, sort: str, value: str) -> None:
+    tail = uuid.uuid4().hex
+    for number in range(2):
+        api.project(name=f"{number} {tail}")
+    query = {"name": f"* {tail}", "sort": sort, "limit": "1"}
+    real = api.get("/projects", query).ok()["next"]
+    signature, _, last = json.loads(base64.urlsafe_b64decode(real + "=" * (-len(real) % 4)))
+    forged = base64.urlsafe_b64encode(json.dumps([signature, value, last]).encode()).decode().rstrip("=")
+    answer = api.get("/projects", {**query, "cursor": forged})
+    if answer.status != 200:
+        answer.refused(422, "invalid_cursor")
+    assert api.get("/projects", {**query, "cursor": real}).ok()["items"][0]["name"] == f"1 {tail}"
+
+
+def test_a_body_that_is_too_large_or_no_json_is_refused(api: Api) -> None:
+    problem = api.post("/projects", b" " * (4 * 1024 * 1024 + 1)).refused(413, "body_too_large")
+    assert problem["limit_bytes"] == 4 * 1024 * 1024
+    api.post("/projects", b"{").refused(422, "invalid_request")
+    api.post("/projects", b"\xff").refused(422, "invalid_request")
+    api.post("/projects", b"[" * 100_000).refused(422, "invalid_request")

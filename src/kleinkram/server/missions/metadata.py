@@ -19,7 +19,9 @@ from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataF
 from kleinkram.server.dates import iso_text
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 
-_WITH_UNIT = re.compile(r"([-+]?(?:\d{1,300}(?:\.\d{0,300})?|\.\d{1,300})(?:[eE][-+]?\d{1,3})?)\s*([^\s\d.].*)")
+_WITH_UNIT = re.compile(
+    r"([-+]?(?:\d{1,300}(?:\.\d{0,300})?|\.\d{1,300})(?:[eE][-+]?\d{1,3})?)\s*([^\s\d.].*)", re.ASCII
+)
 _URL: TypeAdapter[HttpUrl] = TypeAdapter(HttpUrl)
 _KINDS: dict[type, str] = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
 _MAX_INT = 2**63 - 1

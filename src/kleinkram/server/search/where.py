@@ -17,7 +17,7 @@ from kleinkram.server.dates import iso_text
 from kleinkram.server.search.globs import like_pattern
 from kleinkram.server.tables import mission
 
-_NUMBER = re.compile(r"[-+]?(\d{1,18}|\d{0,18}\.\d{1,18}|\d{1,18}\.)([eE][-+]?\d{1,2})?")
+_NUMBER = re.compile(r"[-+]?(\d{1,18}|\d{0,18}\.\d{1,18}|\d{1,18}\.)([eE][-+]?\d{1,2})?", re.ASCII)
 _Scalar = str | bool | int | float
 
 
