@@ -52,7 +52,7 @@ class Api:
     url: str
     token: str
     app: FastAPI
-    admin_url: str
+    database: psycopg.Connection[tuple[Any, ...]]
     _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
 
     def call(
@@ -113,9 +113,8 @@ class Api:
 
     def sql(self, statement: str, *values: Any) -> list[tuple[Any, ...]]:
         """Run one statement behind the API's back, and return its rows where it has any."""
-        with psycopg.connect(self.admin_url, autocommit=True) as connection:
-            cursor = connection.execute(statement, values)
-            return cursor.fetchall() if cursor.description else []
+        cursor = self.database.execute(statement, values)
+        return cursor.fetchall() if cursor.description else []
 
     def metrics(self) -> str:
         """Return what Prometheus would read."""
@@ -152,14 +151,16 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path) -> Ite
     server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, server_header=False))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="api")
     thread.start()
+    database = psycopg.connect(admin_url, autocommit=True)
     try:
         deadline = time.monotonic() + 30
         while not server.started:
             assert thread.is_alive(), "the API did not start; the log says why"
             assert time.monotonic() < deadline, "the API took too long to start"
             thread.join(0.01)
-        yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, admin_url)
+        yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, database)
     finally:
         server.should_exit = True
         thread.join(20)
         listener.close()
+        database.close()
