@@ -224,8 +224,9 @@ def test_two_missions_with_equal_paths_need_nesting(terminal: Terminal, project:
 
 
 def test_a_project_deleted_meanwhile_ends_its_uploads(terminal: Terminal, project: str, tmp_path: Path) -> None:
-    file = random_file(tmp_path / "big.bin", 4 * PART)
-    process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, "--limit-rate", "16MiB")
+    file = random_file(tmp_path / "big.bin", 6 * PART)
+    upload = ["upload", "-p", project, "-m", "m", "--create", file, "--connections", "1"]
+    process = terminal.start(*upload, "--limit-rate", "8MiB")
     wait_until(lambda: terminal.parts_sent() >= 1, "a part sent")
     terminal.run("project", "delete", project, "--yes")
     ended = end(process)

@@ -4,6 +4,7 @@
 """
 
 import importlib
+import io
 import sys
 from typing import Annotated, Any
 
@@ -95,7 +96,8 @@ def klein(
 def main() -> None:
     """Run a command line; a failure is one sentence on stderr and its own exit code (`kleinkram.cli.errors`)."""
     for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a TextIOWrapper, unless replaced
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a letter must not end a command
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except Exception as error:
