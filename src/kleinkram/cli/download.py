@@ -23,7 +23,7 @@ from kleinkram.client.transfer.download import download as download_files
 def download(
     choice: Choice,
     filters: Annotated[
-        Many, typer.Argument(metavar="[FILTERS]...", help="Paths, globs or ids of files.", show_default=False)
+        Many, typer.Argument(metavar="FILTERS", help="Paths, globs or ids of files.", show_default=False)
     ] = None,
     dest: Annotated[Path, typer.Option("--dest", metavar="D", help="Folder to write into.")] = Path(),
     nested: Annotated[bool, typer.Option("--nested", help="Write to PROJECT/MISSION/PATH below it.")] = False,

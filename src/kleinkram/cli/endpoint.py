@@ -19,7 +19,12 @@ from kleinkram.client.config import (
 )
 from kleinkram.client.errors import NotConfigured
 
-app = typer.Typer(help="Which server commands talk to, and why.", rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(
+    help="Which server commands talk to, and why.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
 
 _WHY = {
     EndpointSource.argument: "it was given",

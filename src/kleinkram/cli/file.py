@@ -17,6 +17,7 @@ from kleinkram.contract.files import FileRead, FileSort
 app = typer.Typer(
     help="Files: what a mission holds.",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -29,7 +30,7 @@ FileArgument = Annotated[str, typer.Argument(metavar="FILE", help="Path or id.",
 @with_choice
 def list_(
     choice: Choice,
-    paths: Annotated[Many, typer.Argument(metavar="[GLOB]...", show_default=False)] = None,
+    paths: Annotated[Many, typer.Argument(metavar="GLOB", show_default=False)] = None,
     sort: Annotated[FileSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
     limit: Limit = None,
     count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
@@ -87,7 +88,7 @@ def update(
 
 @app.command("delete")
 def delete(
-    files: Annotated[list[str], typer.Argument(metavar="FILE...", help="Paths, globs or ids.", show_default=False)],
+    files: Annotated[list[str], typer.Argument(metavar="FILE", help="Paths, globs or ids.", show_default=False)],
     project: ProjectOption = None,
     mission: MissionOption = None,
     dry_run: DryRun = False,

@@ -27,16 +27,22 @@ class Choice:
 
     project: ProjectOption = None
     mission: MissionOption = None
-    text: Annotated[str | None, typer.Option("--text", help="Found in names, notes and metadata.")] = None
+    text: Annotated[str | None, typer.Option("--text", metavar="TEXT", help="Found in names, notes and metadata.")] = (
+        None
+    )
     where: Annotated[
         Many, typer.Option("--where", "-w", metavar="FIELD=VALUE", help="Metadata: robot=anymal, temperature>20.")
     ] = None
     topic: Annotated[Many, typer.Option("--topic", "-t", metavar="GLOB", help="Has such a topic.")] = None
     message_type: Annotated[Many, typer.Option("--type", metavar="GLOB", help="Has such a message type.")] = None
     file_format: Annotated[Many, typer.Option("--format", metavar="FORMAT", help="mcap, rosbag1, db3, …")] = None
-    label: Annotated[Many, typer.Option("--label", help="Has this label.")] = None
-    state: Annotated[Many, typer.Option("--state", help="Bytes: stored, proven, lost, corrupt.")] = None
-    content: Annotated[Many, typer.Option("--content", help="Content: pending, indexed, broken, opaque, …")] = None
+    label: Annotated[Many, typer.Option("--label", metavar="LABEL", help="Has this label.")] = None
+    state: Annotated[Many, typer.Option("--state", metavar="STATE", help="Bytes: stored, proven, lost, corrupt.")] = (
+        None
+    )
+    content: Annotated[
+        Many, typer.Option("--content", metavar="STATE", help="Content: pending, indexed, broken, opaque, …")
+    ] = None
     after: Annotated[str | None, typer.Option("--after", metavar="TIME", help="Recorded after this time.")] = None
     before: Annotated[str | None, typer.Option("--before", metavar="TIME", help="Recorded before this time.")] = None
     min_size: Annotated[str | None, typer.Option("--min-size", metavar="SIZE", help="At least so large.")] = None

@@ -11,7 +11,7 @@ from kleinkram.recordings.inspect import Inspection, inspect_paths, to_plain
 
 
 def inspect(
-    paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="Files and folders.", show_default=False)],
+    paths: Annotated[list[str], typer.Argument(metavar="PATH", help="Files and folders.", show_default=False)],
     as_json: AsJson = False,
 ) -> None:
     """Say what is in local recordings: topics, types, counts, times, rates and gaps. Needs no server."""

@@ -29,6 +29,7 @@ from kleinkram.contract.missions import MissionFilter, MissionSort
 app = typer.Typer(
     help="Missions: one outing of a robot, with the metadata that its project requires.",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -62,7 +63,7 @@ def create(
 
 @app.command("list")
 def list_(
-    name: Annotated[str | None, typer.Argument(metavar="[GLOB]", show_default=False)] = None,
+    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
     project: ProjectOption = None,
     text: Annotated[str | None, typer.Option("--text", help="Found in names, notes and metadata.")] = None,
     where: Annotated[Many, typer.Option("--where", "-w", metavar="FIELD=VALUE", help="robot=anymal, t>20.")] = None,

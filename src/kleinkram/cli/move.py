@@ -16,7 +16,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 
 def move(
     files: Annotated[
-        Many, typer.Argument(metavar="[FILES]...", help="Paths, globs or ids; none: the mission.", show_default=False)
+        Many, typer.Argument(metavar="FILES", help="Paths, globs or ids; none: the mission.", show_default=False)
     ] = None,
     project: ProjectOption = None,
     mission: MissionOption = None,

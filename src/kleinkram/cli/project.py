@@ -14,6 +14,7 @@ from kleinkram.contract.projects import ProjectRead, ProjectSort
 app = typer.Typer(
     help="Projects: the top of project > mission > file.",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -44,7 +45,7 @@ def create(
 
 @app.command("list")
 def list_(
-    name: Annotated[str | None, typer.Argument(metavar="[GLOB]", show_default=False)] = None,
+    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
     text: Annotated[str | None, typer.Option("--text", help="Found in names and descriptions.")] = None,
     sort: Annotated[ProjectSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
     limit: Limit = None,

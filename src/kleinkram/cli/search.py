@@ -27,7 +27,7 @@ class Shown(str, enum.Enum):
 def search(
     choice: Choice,
     words: Annotated[
-        str | None, typer.Argument(metavar="[TEXT]", help="Found in names, notes and metadata.", show_default=False)
+        str | None, typer.Argument(metavar="TEXT", help="Found in names, notes and metadata.", show_default=False)
     ] = None,
     show: Annotated[Shown, typer.Option("--show", help="What to list.")] = Shown.files,
     path: Annotated[Many, typer.Option("--path", metavar="GLOB", help="Path in the mission.")] = None,

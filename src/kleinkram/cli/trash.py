@@ -11,7 +11,11 @@ from kleinkram.cli.units import size
 from kleinkram.contract.trash import TrashNoun
 
 app = typer.Typer(
-    help="What was deleted, for 30 days.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+    help="What was deleted, for 30 days.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 
 NounOption = Annotated[TrashNoun | None, typer.Option("--noun", help="Only these.")]
@@ -46,7 +50,7 @@ def list_(noun: NounOption = None, as_json: AsJson = False) -> None:
 
 @app.command("restore")
 def restore(
-    refs: Annotated[list[str], typer.Argument(metavar="NAME...", help="Names or ids.", show_default=False)],
+    refs: Annotated[list[str], typer.Argument(metavar="NAME", help="Names or ids.", show_default=False)],
     noun: NounOption = None,
     as_json: AsJson = False,
 ) -> None:

@@ -35,7 +35,7 @@ _POLL_S = 0.3
 
 
 def upload(
-    paths: Annotated[list[str], typer.Argument(metavar="PATHS...", help="Files and folders.", show_default=False)],
+    paths: Annotated[list[str], typer.Argument(metavar="PATHS", help="Files and folders.", show_default=False)],
     project: ProjectOption = None,
     mission: MissionOption = None,
     create: Annotated[bool, typer.Option("--create", help="Make the mission if there is none.")] = False,

@@ -17,9 +17,7 @@ from kleinkram.client.transfer import Verdict, Verified, plan_upload, verify_loc
 
 
 def verify(
-    paths: Annotated[
-        Many, typer.Argument(metavar="[PATHS]...", help="Local files and folders.", show_default=False)
-    ] = None,
+    paths: Annotated[Many, typer.Argument(metavar="PATHS", help="Local files and folders.", show_default=False)] = None,
     project: ProjectOption = None,
     mission: MissionOption = None,
     remote: Annotated[
