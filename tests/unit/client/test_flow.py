@@ -54,6 +54,19 @@ def test_a_budget_bounds_what_is_under_way() -> None:
     budget.wait_until_free()
 
 
+def test_whoever_waits_for_the_budget_waits_until_half_of_it_is_free() -> None:
+    budget = Budget(Stop(), 10)
+    for _ in range(10):
+        budget.acquire(1)
+    thread, answers = in_thread(lambda: budget.acquire(1))
+    for _ in range(5):
+        budget.release(1)
+    assert answers == []
+    budget.release(1)
+    thread.join(10)
+    assert answers == [None]
+
+
 def test_the_end_wakes_everybody_and_keeps_the_first_failure() -> None:
     stop = Stop()
     channel: Channel[str] = Channel(stop)

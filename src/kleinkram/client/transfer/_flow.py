@@ -88,7 +88,10 @@ class Channel(Generic[T]):
 
 
 class Budget:
-    """So much may be under way at once; more waits. One thing that is larger than all of it may go alone."""
+    """So much may be under way at once. One thing that is larger than all of it may go alone.
+
+    Whoever must wait waits until half of it is free, so that work comes in bursts and can be spoken of in batches.
+    """
 
     def __init__(self, stop: Stop, limit: int) -> None:
         self._stop = stop
@@ -103,7 +106,9 @@ class Budget:
             Stopped: it is over.
         """
         with self._changed:
-            while self._used > 0 and self._used + amount > self._limit:
+            room = self._limit
+            while self._used > 0 and self._used + amount > room:
+                room = self._limit // 2
                 self._stop.check()
                 self._changed.wait()
             self._stop.check()

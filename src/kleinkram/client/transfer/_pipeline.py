@@ -29,6 +29,7 @@ _PART_COST = 512 * 1024  # what the smallest part counts, so that open files are
 _FILES_UNDER_WAY = 256
 _AT_ONCE = 100
 _RENEW_S = 20.0
+_LINGER_S = 0.02
 _REFUSALS = 4
 
 _OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
@@ -131,6 +132,9 @@ class Pipeline:
     def _sign_loop(self) -> None:
         while True:
             parts = self._to_sign.take(_AT_ONCE, _RENEW_S)
+            if 0 < len(parts) < _AT_ONCE:  # more come within moments: one request for all of them
+                self._stop.wait(_LINGER_S)
+                parts += self._to_sign.take(_AT_ONCE - len(parts), timeout_s=0)
             for part in parts:
                 if part.sending.ended:
                     self._part_over(part)
