@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-PAIRS = 6
+PAIRS = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6"))
 
 
 @dataclass(frozen=True)

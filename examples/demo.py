@@ -118,7 +118,7 @@ def running_instance(story: Story) -> Iterator[None]:
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir()
     with story.step("Start Kleinkram: PostgreSQL, S3, API and worker, as one command"):
-        print("$ klein up --port 0", flush=True)
+        print("$ klein up", flush=True)
         process = subprocess.Popen([KLEIN, "up"], env=environment(), stdout=subprocess.PIPE, text=True, cwd=STAGE)
         line = process.stdout.readline() if process.stdout else ""
         if not line:
@@ -159,7 +159,7 @@ def tell(story: Story) -> None:
         (STAGE / "mission.yaml").write_text(METADATA)
         klein(
             *("upload", "-p", "alpine", "-m", "jungfraujoch-1", "--create"),
-            *("--metadata", "mission.yaml", "--wait", "field-day"),
+            *("--metadata", "mission.yaml", "--wait", "60", "field-day"),
         )
     with story.step("What is in it"):
         klein("project", "info", "alpine")
@@ -222,7 +222,7 @@ def tell_the_rest(story: Story) -> None:
     with story.step("Delete, and take it back"):
         klein("mission", "delete", "jungfraujoch-2", "-p", "alpine", "--yes")
         klein("trash", "list")
-        klein("trash", "restore", "mission", "jungfraujoch-2")
+        klein("trash", "restore", "jungfraujoch-2")
     with story.step("What happened"):
         klein("audit", "-p", "alpine")
     with story.step("Is all well?"):

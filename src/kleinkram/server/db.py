@@ -1,15 +1,14 @@
 """Connections and transactions: SQLAlchemy Core over psycopg 3, no ORM.
 
-A request has one transaction by default (`Transaction` in its signature): committed when the route returns, rolled
-back when it raises. Where the object store must be asked in between, a flow opens several with `Database.begin`.
+A request has one transaction by default: committed when the route returns, rolled back when it raises. Where the object
+store must be asked in between, a flow opens several with `Database.begin`.
 """
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Annotated, Any
+from typing import Any
 
 import psycopg
-from fastapi import Depends, Request
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
 
@@ -71,19 +70,3 @@ def violated_constraint(error: DBAPIError) -> str | None:
     """Return the name of the constraint that a statement broke, to say which rule it was."""
     original = error.orig
     return original.diag.constraint_name if isinstance(original, psycopg.Error) else None
-
-
-async def _request_transaction(request: Request) -> AsyncIterator[Connection]:
-    database: Database = request.app.state.database
-    async with database.begin() as connection:
-        yield connection
-
-
-def _database(request: Request) -> Database:
-    database: Database = request.app.state.database
-    return database
-
-
-# scope="function": committed before the answer leaves, so that nobody reads their own write too early.
-Transaction = Annotated[Connection, Depends(_request_transaction, scope="function")]
-Transactions = Annotated[Database, Depends(_database)]

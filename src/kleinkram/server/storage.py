@@ -9,13 +9,12 @@ import base64
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from aiobotocore.config import AioConfig
 from aiobotocore.session import get_session
 from aiohttp import ClientError as HttpError
 from botocore.exceptions import BotoCoreError, ClientError
-from fastapi import Depends, Request
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
@@ -295,15 +294,8 @@ async def open_storage(settings: Settings, checksum: ChecksumKind) -> AsyncItera
         internal = await stack.enter_async_context(
             session.create_client("s3", **_client_arguments(settings, settings.s3_internal_url))
         )
-        public = await stack.enter_async_context(
-            session.create_client("s3", **_client_arguments(settings, settings.store_public_url))
-        )
+        public = internal
+        if settings.store_public_url != settings.s3_internal_url:
+            arguments = _client_arguments(settings, settings.store_public_url)
+            public = await stack.enter_async_context(session.create_client("s3", **arguments))
         yield Storage(internal, public, settings.s3_bucket, checksum)
-
-
-def _current_storage(request: Request) -> Storage:
-    storage: Storage = request.app.state.storage
-    return storage
-
-
-CurrentStorage = Annotated[Storage, Depends(_current_storage)]

@@ -159,3 +159,20 @@ def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
     file = upload(api, mission_id, "run.bin", body)
     api.sql("UPDATE blob SET doomed_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"])
     assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "send"
+
+
+def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(api: Api, mission_id: str) -> None:
+    file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(30))
+    api.sql("DELETE FROM procrastinate_jobs")
+    on_site(api, sweep_once)
+    assert api.sql("SELECT count(*) FROM procrastinate_jobs WHERE task_name <> 'group_recordings'") == [(0,)], (
+        "too early"
+    )
+    api.sql("UPDATE blob SET created_at = now() - interval '1 hour' WHERE id = %s", _blob(api, file["id"])[0])
+    on_site(api, sweep_once)
+    on_site(api, sweep_once)  # a second round asks for nothing twice
+    jobs = api.sql("SELECT task_name FROM procrastinate_jobs WHERE status = 'todo' ORDER BY 1")
+    assert [row[0] for row in jobs] == ["group_recordings", "prove_blob", "summarise_blob"]
+    run_jobs(api)
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/missions/{mission_id}").ok()["recordings_current"] is True

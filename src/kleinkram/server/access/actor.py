@@ -3,15 +3,11 @@
 import hashlib
 import uuid
 from dataclasses import dataclass
-from typing import Annotated
 
-from fastapi import Depends, Request
-from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy import select
 
-from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.contract.people import PersonRef
-from kleinkram.server.db import Connection, Transactions
+from kleinkram.server.db import Connection
 from kleinkram.server.tables import person, token
 
 
@@ -44,23 +40,3 @@ async def find_actor(db: Connection, secret: str, *, request_id: str | None) -> 
     )
     row = (await db.execute(statement)).one_or_none()
     return Actor(row.id, row.name, row.token_id, request_id) if row else None
-
-
-_bearer = HTTPBearer(auto_error=False, description="A Kleinkram token.")
-
-
-async def _current_actor(
-    request: Request,
-    database: Transactions,
-    credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
-) -> Actor:
-    if credentials is None:
-        raise NotAuthenticated(reason="the request has no bearer token")
-    async with database.begin() as db:
-        actor = await find_actor(db, credentials.credentials, request_id=request.state.request_id)
-    if actor is None:
-        raise NotAuthenticated(reason="the token is not valid here")
-    return actor
-
-
-CurrentActor = Annotated[Actor, Depends(_current_actor)]

@@ -9,9 +9,8 @@ from pydantic import BaseModel, ConfigDict
 from kleinkram.contract.audit import AuditRead
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.access.actor import CurrentActor
 from kleinkram.server.audit import service
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1/audit", tags=["audit"])

@@ -8,7 +8,7 @@ import time
 import uuid
 
 from awscrt.checksums import crc64nvme
-from procrastinate import JobContext, RetryStrategy
+from procrastinate import JobContext
 from sqlalchemy import Row
 
 from kleinkram.contract.errors import StoreUnavailable
@@ -26,26 +26,17 @@ from kleinkram.recordings import (
     timed_out,
 )
 from kleinkram.server.blobs import service
+from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, site_of
 from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.site import Site
 from kleinkram.server.trash.emptying import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
-_ATTEMPTS = 5
 _SWEEP_BATCH = 1000
-# Waits of 4, 16, 64, 256 s: a store that is away for minutes costs nothing but patience.
-_PATIENTLY = RetryStrategy(max_attempts=_ATTEMPTS, exponential_wait=4)
 
 
-def site_of(context: JobContext) -> Site:
-    """Return what the worker gave its jobs to work with."""
-    site = context.additional_context["site"]
-    if not isinstance(site, Site):
-        raise TypeError("the worker was started without its site")
-    return site
-
-
-@queue.task(name=Job.summarise_blob.value, retry=_PATIENTLY, pass_context=True)
+@queue.task(name=Job.summarise_blob.value, retry=PATIENTLY, pass_context=True)
 async def summarise_blob(context: JobContext, ref: str) -> None:
     """Read what is in a recording, in a child process without credentials, and keep it."""
     site = site_of(context)
@@ -57,7 +48,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     try:
         summary = await _summary(site, row)
     except SummaryFailed as failure:
-        if failure.kind is FailureKind.source and context.job.attempts < _ATTEMPTS - 1:
+        if failure.kind is FailureKind.source and context.job.attempts < ATTEMPTS - 1:
             raise  # the store, not the file: worth another try
         async with site.database.begin() as db:
             await service.keep_failure(db, blob_id, str(failure))
@@ -93,7 +84,7 @@ async def _summary(site: Site, row: Row[tuple[object, ...]]) -> RecordingSummary
     return read_answer(stdout, stderr, process.returncode or 0)
 
 
-@queue.task(name=Job.prove_blob.value, retry=_PATIENTLY, pass_context=True)
+@queue.task(name=Job.prove_blob.value, retry=PATIENTLY, pass_context=True)
 async def prove_blob(context: JobContext, ref: str) -> None:
     """Read a blob once, at a limited rate, and compare it with what was stated of it when it came."""
     site = site_of(context)
@@ -109,7 +100,7 @@ async def prove_blob(context: JobContext, ref: str) -> None:
         return
     except StoreUnavailable as error:
         await site.storage.check()  # raises when the store is away: then the blob is not to blame
-        if context.job.attempts < _ATTEMPTS - 1:
+        if context.job.attempts < ATTEMPTS - 1:
             raise
         await _keep_damage(site, blob_id, BlobState.corrupt, f"the store cannot read it back ({error.reason})")
         return
@@ -169,12 +160,15 @@ async def _keep_damage(site: Site, blob_id: uuid.UUID, state: BlobState, reason:
 @queue.periodic(cron="*/10 * * * *")
 @queue.task(name=Job.sweep.value, pass_context=True, queueing_lock="sweep", lock="sweep")
 async def sweep(context: JobContext, timestamp: int = 0) -> None:
-    """Let go of what left the trash: its rows, then the objects that nothing refers to any more."""
+    """Take up what was forgotten, and let go of what left the trash: rows first, then what nothing refers to."""
     await sweep_once(site_of(context))
 
 
 async def sweep_once(site: Site) -> None:
     """Do one round of the sweep; what a round leaves, the next one takes."""
+    async with site.database.begin() as db:
+        await service.examine_forgotten(db, limit=_SWEEP_BATCH)
+        await regroup_forgotten(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
         await empty_trash(db, older_than_days=site.settings.trash_days, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:

@@ -3,9 +3,13 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import Select, select
+from sqlalchemy import ColumnElement, Select, Text, cast, column, exists, func, select, table, text
 
+from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.server.jobs.queue import Job
 from kleinkram.server.tables import blob, file
+
+_jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
 
 
 def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
@@ -14,3 +18,29 @@ def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
         select(file.c.path).where(file.c.blob_id == blob.c.id).order_by(file.c.created_at, file.c.id).limit(1)
     ).scalar_subquery()
     return select(blob, path.label("path")).where(blob.c.id == blob_id, blob.c.doomed_at.is_(None))
+
+
+def is_referred() -> ColumnElement[bool]:
+    """Say of a blob whether any file refers to it, in the trash or out of it."""
+    return exists().where(file.c.blob_id == blob.c.id)
+
+
+def unread() -> Select[Any]:
+    """Return ids of blobs that nobody summarised for ten minutes, or that we failed to read a day ago."""
+    late = blob.c.summarised_at.is_(None) & (blob.c.created_at < func.now() - text("interval '10 minutes'"))
+    failed = blob.c.content == ContentState.error.value
+    again = failed & (blob.c.summarised_at < func.now() - text("interval '1 day'"))
+    return select(blob.c.id).where(blob.c.doomed_at.is_(None), late | again)
+
+
+def unproven() -> Select[Any]:
+    """Return ids of blobs that nobody has proven for ten minutes."""
+    late = blob.c.created_at < func.now() - text("interval '10 minutes'")
+    return select(blob.c.id).where(blob.c.doomed_at.is_(None), blob.c.state == BlobState.stored.value, late)
+
+
+def has_job(job: Job) -> ColumnElement[bool]:
+    """Say of a blob whether a job for it waits or runs."""
+    alive = cast(_jobs.c.status, Text).in_(["todo", "doing"])
+    own = _jobs.c.args.op("->>")("ref") == cast(blob.c.id, Text)
+    return exists().where(_jobs.c.task_name == job.value, alive, own)

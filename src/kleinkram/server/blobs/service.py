@@ -26,6 +26,17 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.whenever)
 
 
+async def examine_forgotten(db: Connection, *, limit: int) -> None:
+    """See to blobs whose jobs were given up (a store that was away for long): nothing waits for ever.
+
+    What we failed to read is tried again once a day.
+    """
+    for job, wanting in ((Job.summarise_blob, queries.unread()), (Job.prove_blob, queries.unproven())):
+        statement = wanting.where(~queries.has_job(job)).order_by(blob.c.created_at).limit(limit)
+        ids = [str(each) for each in (await db.execute(statement)).scalars()]
+        await enqueue(db, job, ids=ids, urgency=Urgency.whenever)
+
+
 async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
     """See to it that a blob is read and compared with its checksums once more, ahead of routine proving."""
     await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
@@ -106,7 +117,7 @@ async def doom_unreferenced(db: Connection, *, limit: int) -> int:
     First the candidates are locked, then looked at again: a file that was linked in between, under the lock that
     linking takes too, saves its blob.
     """
-    referred = select(file.c.id).where(file.c.blob_id == blob.c.id).exists()
+    referred = queries.is_referred()
     candidates = (
         select(blob.c.id)
         .where(blob.c.doomed_at.is_(None), ~referred)
@@ -124,8 +135,9 @@ async def doom_unreferenced(db: Connection, *, limit: int) -> int:
 async def doomed_blobs(db: Connection, *, grace_s: float, limit: int) -> Sequence[Row[Any]]:
     """Return id and key of blobs that were doomed longer ago than the grace."""
     before = func.now() - datetime.timedelta(seconds=grace_s)
-    statement = select(blob.c.id, blob.c.key).where(blob.c.doomed_at < before).order_by(blob.c.doomed_at).limit(limit)
-    return (await db.execute(statement)).all()
+    # Looked at once more, although nothing can link to a doomed blob: what goes now is gone.
+    due = select(blob.c.id, blob.c.key).where(blob.c.doomed_at < before, ~queries.is_referred())
+    return (await db.execute(due.order_by(blob.c.doomed_at).limit(limit))).all()
 
 
 async def forget_blob(db: Connection, blob_id: uuid.UUID) -> None:

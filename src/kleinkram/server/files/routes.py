@@ -16,11 +16,9 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.files import service
 from kleinkram.server.pages import PageRequest
-from kleinkram.server.site import CurrentSite
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
 

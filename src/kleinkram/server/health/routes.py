@@ -1,27 +1,17 @@
 """`/health/live`, `/health/ready`, `/metrics` and `/api/v1/service`."""
 
-from typing import Annotated
-
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 
 import kleinkram
 from kleinkram.contract.people import ServiceRead
 from kleinkram.server import measures
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, CurrentStorage, Transaction
 from kleinkram.server.migrations import at_head
-from kleinkram.server.settings import Settings
-from kleinkram.server.storage import CurrentStorage
 
 probes = APIRouter(include_in_schema=False)
 router = APIRouter(prefix="/api/v1", tags=["service"])
-
-
-def _settings(request: Request) -> Settings:
-    settings: Settings = request.app.state.settings
-    return settings
 
 
 @probes.get("/health/live")
@@ -46,9 +36,7 @@ async def metrics(db: Transaction) -> Response:
 
 
 @router.get("/service", operation_id="get_service")
-async def service(
-    actor: CurrentActor, storage: CurrentStorage, settings: Annotated[Settings, Depends(_settings)]
-) -> ServiceRead:
+async def service(actor: CurrentActor, storage: CurrentStorage, settings: CurrentSettings) -> ServiceRead:
     """Say what this server is, and who you are to it."""
     return ServiceRead(
         version=kleinkram.__version__,

@@ -1,8 +1,10 @@
 """The worker: one process that runs what the queue holds, and puts back what a dead worker left."""
 
 import asyncio
+import contextlib
 import datetime
 import logging
+import signal
 
 from procrastinate import App, PsycopgConnector
 
@@ -25,7 +27,16 @@ JOB_MODULES = (_blob_jobs, _recording_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:
-    """Run jobs until SIGTERM or SIGINT; a job under way is finished first."""
+    """Run jobs until SIGTERM or SIGINT; a job under way is finished first, unless a second signal comes."""
+    task = asyncio.current_task()
+    if task is not None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await _open_and_run(settings)
+
+
+async def _open_and_run(settings: Settings) -> None:
     connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=4)
     # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
     with queue.replace_connector(connector) as app:
@@ -41,6 +52,7 @@ async def _run(app: App, settings: Settings) -> None:
         try:
             await app.run_worker_async(
                 concurrency=_AT_ONCE,
+                install_signal_handlers=False,
                 additional_context={"site": site},
                 shutdown_graceful_timeout=20,
                 fetch_job_polling_interval=2,

@@ -8,8 +8,7 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.missions import service
 from kleinkram.server.pages import PageRequest
 

@@ -11,8 +11,7 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.projects import service
 

@@ -8,7 +8,7 @@ from procrastinate import JobContext
 from sqlalchemy import Row
 
 from kleinkram.recordings import Rosbag2Metadata, group, parse_rosbag2_metadata
-from kleinkram.server.blobs.jobs import site_of
+from kleinkram.server.jobs.context import PATIENTLY, site_of
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.recordings import deriving
 from kleinkram.server.site import Site
@@ -17,7 +17,7 @@ from kleinkram.server.site import Site
 _METADATA_LIMIT_BYTES = 4 * 1024 * 1024
 
 
-@queue.task(name=Job.group_recordings.value, pass_context=True, retry=5)
+@queue.task(name=Job.group_recordings.value, pass_context=True, retry=PATIENTLY)
 async def group_recordings(context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
     site = site_of(context)

@@ -6,8 +6,7 @@ from fastapi import APIRouter
 
 from kleinkram.contract.files import RecordingRead
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.recordings import service
 

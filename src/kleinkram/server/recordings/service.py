@@ -2,7 +2,7 @@
 
 import uuid
 
-from sqlalchemy import text, update
+from sqlalchemy import Text, cast, select, text, update
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import RecordingRead
@@ -19,6 +19,8 @@ _WAITING = text(
     "SELECT 1 FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref LIMIT 1"
 )
 
+_WORKING = text("SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status IN ('todo', 'doing')")
+
 
 async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
     """See to it that a mission's recordings are derived again, once this transaction is through.
@@ -31,6 +33,14 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
     waiting = await db.execute(_WAITING, {"task": Job.group_recordings.value, "ref": str(mission_id)})
     if waiting.first() is None:
         await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon)
+
+
+async def regroup_forgotten(db: Connection, *, limit: int) -> None:
+    """See to missions whose recordings are not those of their files, and for which no job waits or runs."""
+    stale = select(cast(mission.c.id, Text)).where(mission.c.derived_revision != mission.c.files_revision).limit(limit)
+    ids = set((await db.execute(stale)).scalars())
+    working = set((await db.execute(_WORKING, {"task": Job.group_recordings.value})).scalars())
+    await enqueue(db, Job.group_recordings, ids=sorted(ids - working), urgency=Urgency.whenever)
 
 
 async def get_recording(db: Connection, actor: Actor, recording_id: uuid.UUID) -> RecordingRead:

@@ -8,8 +8,7 @@ from kleinkram.contract.files import FileFilter, TopicRead
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.stats import StatsRead
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.search import service
 

@@ -3,13 +3,12 @@
 import uuid
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.trash import TrashNoun, TrashRead
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.trash import service
 
@@ -28,12 +27,11 @@ class TrashListQuery(BaseModel):
 
 @router.get("", operation_id="list_trash")
 async def list_trash(
-    request: Request, query: Annotated[TrashListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[TrashListQuery, Query()], db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> Page[TrashRead]:
     """List what was deleted and can still be had back, latest first."""
-    days: int = request.app.state.settings.trash_days
     page = PageRequest(query.limit, query.cursor)
-    return await service.list_trash(db, actor, noun=query.noun, trash_days=days, page=page)
+    return await service.list_trash(db, actor, noun=query.noun, trash_days=settings.trash_days, page=page)
 
 
 @router.post("/{noun}/{noun_id}/restore", operation_id="restore_from_trash", status_code=204)

@@ -6,7 +6,7 @@ from procrastinate import JobContext
 from sqlalchemy import Row, func, select, update
 
 from kleinkram.contract.uploads import UploadState
-from kleinkram.server.blobs.jobs import site_of
+from kleinkram.server.jobs.context import site_of
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, upload

@@ -15,10 +15,8 @@ from kleinkram.contract.uploads import (
     UploadRead,
     UploadsComplete,
 )
-from kleinkram.server.access.actor import CurrentActor
-from kleinkram.server.db import Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.pages import PageRequest
-from kleinkram.server.site import CurrentSite
 from kleinkram.server.uploads import completion, service
 
 router = APIRouter(prefix="/api/v1", tags=["uploads"])
