@@ -116,9 +116,12 @@ def sentences(error: KleinkramError) -> list[str]:
     return lines
 
 
-def exit_code_of(failures: Iterable[KleinkramError]) -> int:
-    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none."""
-    codes = {EXIT_CODES[type(error)] for error in failures if not isinstance(error, HARMLESS)}
+def exit_code_of(failures: Iterable[KleinkramError], *, anything_done: bool = True) -> int:
+    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none.
+
+    What was left out as it should be is no failure, unless nothing else was asked for.
+    """
+    codes = {EXIT_CODES[type(error)] for error in failures if not (anything_done and isinstance(error, HARMLESS))}
     if not codes:
         return 0
     return codes.pop() if len(codes) == 1 else ExitCode.several

@@ -14,7 +14,7 @@ from kleinkram.contract.errors import KleinkramError
 def say_left_out(left_out: Iterable[ClientError]) -> None:
     """Name on stderr what will not be transferred."""
     for error in left_out:
-        note(f"Left out: {escape(str(error))}")
+        note(escape(str(error)))
 
 
 def plain_report(report: TransferReport) -> dict[str, object]:

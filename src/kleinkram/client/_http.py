@@ -27,7 +27,7 @@ T = TypeVar("T", bound=BaseModel)
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
-PATIENCE_S = 8.0
+PATIENCE_S = 4.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 

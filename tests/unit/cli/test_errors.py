@@ -42,6 +42,7 @@ def test_several_failures_of_one_kind_keep_it() -> None:
     gone: KleinkramError = NotFound(noun="file", ref="x")
     assert exit_code_of([]) == 0
     assert exit_code_of([left_out]) == 0
+    assert exit_code_of([left_out], anything_done=False) == ExitCode.local_file
     assert exit_code_of([changed, changed, left_out]) == ExitCode.local_file
     assert exit_code_of([changed, gone]) == ExitCode.several
 
