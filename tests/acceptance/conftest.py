@@ -105,7 +105,8 @@ def end(process: "subprocess.Popen[str]") -> Ran:
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
     """One instance for all stories."""
     home = tmp_path_factory.mktemp("up")
-    environment = _environment(home, home / "data")
+    short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
+    environment = {**_environment(home, home / "data"), **short}
     ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the usual ones may be somebody's
     process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
     try:

@@ -232,3 +232,11 @@ def test_a_project_deleted_meanwhile_ends_its_uploads(terminal: Terminal, projec
     ended = end(process)
     assert ended.code == 3, ended.err
     assert "Traceback" not in ended.err
+
+
+def test_addresses_that_expire_meanwhile_are_asked_for_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
+    file = random_file(tmp_path / "big.bin", 4 * PART)
+    slowly = ["--limit-rate", "6MiB", "--connections", "1"]  # longer than the 4 s that an address is good for here
+    terminal.run("upload", "-p", project, "-m", "m", "--create", file, *slowly)
+    terminal.run("download", "-p", project, "-m", "m", "--dest", tmp_path / "back", *slowly)
+    assert (tmp_path / "back" / "big.bin").read_bytes() == file.read_bytes()

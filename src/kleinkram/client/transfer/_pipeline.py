@@ -6,6 +6,7 @@ against the checksum that the server signed. At most `AHEAD_BYTES` are hashed an
 """
 
 import contextlib
+import datetime
 import threading
 import time
 import uuid
@@ -190,6 +191,8 @@ class Pipeline:
         backoff = Backoff(PATIENCE_S, self._stop.wait)
         refusals = 0
         while True:
+            if signed.expires_at <= datetime.datetime.now(datetime.timezone.utc):  # spares sending it in vain
+                signed = self._uploads.sign([part.to_sign()]).items[0]
             answer = self._put(part, signed)
             if answer.answer is Answer.taken:
                 part.sending.record(part, answer.etag)
