@@ -6,15 +6,23 @@ import pytest
 
 from kleinkram.contract.errors import FileExists, NameLeased, PathConflict
 from kleinkram.contract.uploads import UploadFile
-from kleinkram.server.uploads.rules import Known, Way, decide
+from kleinkram.server.uploads.rules import Known, Way, decide, first_come
 
 _SHA = "ab" * 32
 _OTHER = "cd" * 32
+_PERSON = uuid.UUID("00000000-0000-4000-8000-000000000001")
 _ID = uuid.UUID("0f0e0d0c-0b0a-4090-8070-605040302010")
 
 
 def _known(**changes: Any) -> Known:
-    values: dict[str, Any] = {"files": {}, "uploads": {}, "twin_sizes": frozenset(), "twins": {}, "conflicts": {}}
+    values: dict[str, Any] = {
+        "person_id": _PERSON,
+        "files": {},
+        "uploads": {},
+        "twin_sizes": frozenset(),
+        "twins": {},
+        "conflicts": {},
+    }
     return Known(**(values | changes))
 
 
@@ -24,7 +32,9 @@ def _existing(*, state: str = "proven", path: str = "run.mcap") -> Any:
 
 def _active(*, leased: bool, state: str = "open") -> Any:
     ends = SimpleNamespace(isoformat=lambda timespec: "2026-01-01T00:00:00+00:00")
-    return SimpleNamespace(id=_ID, path="run.mcap", size_bytes=10, state=state, leased=leased, lease_ends_at=ends)
+    return SimpleNamespace(
+        id=_ID, person_id=_PERSON, path="run.mcap", size_bytes=10, state=state, leased=leased, lease_ends_at=ends
+    )
 
 
 def _wanted(**changes: Any) -> UploadFile:
@@ -99,3 +109,22 @@ def test_a_size_with_a_twin_is_hashed_first_and_then_linked() -> None:
     linked = decide(_wanted(sha256=_SHA), known)
     assert (linked.way, linked.ref) == (Way.link, twin)
     assert decide(_wanted(sha256=_OTHER), known).way is Way.begin
+
+
+def test_somebody_elses_upload_is_not_resumed() -> None:
+    known = _known(uploads={"run.mcap": _active(leased=True)}, person_id=uuid.uuid4())
+    assert decide(_wanted(upload_id=_ID), known).way is Way.refuse
+
+
+@pytest.mark.parametrize(
+    ("paths", "refused"),
+    [
+        (["a", "b", "c/d", "c/e"], {}),
+        (["a", "A"], {1: "a"}),
+        (["a", "a/b", "a/c", "d"], {1: "a", 2: "a"}),
+        (["a/b/c", "a/b", "a"], {1: "a/b/c", 2: "a/b/c"}),
+        (["Zu\u0308rich", "ZÜRICH/x"], {1: "Zu\u0308rich"}),
+    ],
+)
+def test_of_paths_that_exclude_each_other_the_first_comes_in(paths: list[str], refused: dict[int, str]) -> None:
+    assert first_come(paths) == refused
