@@ -1,14 +1,14 @@
 """What is asked of files. Functions return selects; they touch no connection."""
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import BigInteger, ColumnElement, Row, Select, Update, and_, func, literal, or_, select, update
+from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, Update, func, literal, select, true, update
+from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.files import FileFilter, FileProblem, FileRead, FileSort
 from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.names import name_key
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
@@ -103,7 +103,7 @@ def _hex(digest: bytes | None) -> str | None:
     return None if digest is None else digest.hex()
 
 
-def files_by_id(actor: Actor, file_ids: Sequence[uuid.UUID]) -> Select[Any]:
+def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the visible files among some ids."""
     return file_rows(visible_files(actor).where(file.c.id.in_(file_ids)))
 
@@ -138,16 +138,21 @@ def change_file(file_id: uuid.UUID, **values: object) -> Update:
     return update(file).where(file.c.id == file_id).values(**values)
 
 
-def in_the_way(mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None) -> Select[Any]:
-    """Return the `path` of a file that keeps another path from being stored in a mission.
+def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
+    """Return `path_key` and `path` of a mission's files under the given keys."""
+    found = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
+    return found.where(file.c.path_key.in_(keys))
 
-    That is a file of the same key, one that stands where a folder is needed, or one inside a folder of that name.
-    """
-    key = name_key(path)
-    parts = key.split("/")
-    folders = ["/".join(parts[:count]) for count in range(1, len(parts))]
-    # "0" follows "/" by code point: the keys between are those that begin with the folder's.
-    inside = and_(file.c.path_key > f"{key}/", file.c.path_key < f"{key}0")
-    taken = or_(file.c.path_key == key, file.c.path_key.in_(folders), inside)
-    live = select(file.c.path).where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None), taken).limit(1)
+
+def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
+    """Return, for each key that is a folder in a mission, the `key` and the `path` of one file inside."""
+    key = func.unnest(array(keys, type_=Text)).column_valued("key")
+    # "0" follows "/" by code point: the keys between are those inside, a range that the index on path_key serves.
+    inside = _in_mission(mission_id, except_id).where(file.c.path_key > key + "/", file.c.path_key < key + "0")
+    one = inside.with_only_columns(file.c.path).limit(1).lateral("below")
+    return select(key, one.c.path).join(one, true())
+
+
+def _in_mission(mission_id: uuid.UUID, except_id: uuid.UUID | None) -> Select[Any]:
+    live = select(file).where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     return live if except_id is None else live.where(file.c.id != except_id)

@@ -2,7 +2,7 @@
 
 import datetime
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import Row, func
@@ -42,6 +42,11 @@ async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]
         NotFound: one of them is not there, or not for this actor.
     """
     return [queries.to_file(row) for row in await _rows(db, actor, file_ids)]
+
+
+async def read_visible_files(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> list[FileRead]:
+    """Return those of the files that are there for this actor, in no order, by one query."""
+    return [queries.to_file(row) for row in await db.execute(queries.files_by_id(actor, file_ids))]
 
 
 async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead:
@@ -118,6 +123,30 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
     return Deleted(missions=0, files=1, size_bytes=row.size_bytes, dry_run=dry_run)
 
 
+async def path_conflicts(
+    db: Connection, mission_id: uuid.UUID, paths: Collection[str], *, except_id: uuid.UUID | None = None
+) -> dict[str, str]:
+    """Return those of `paths` that cannot stand beside a mission's files, each with the file that it meets.
+
+    Such a path needs a folder where there is a file, or is a folder itself. A file of the same path is no conflict
+    here, nor is one of `paths` for another. Two queries, however many paths; the caller holds the mission's lock.
+    """
+    above = {path: _folders(path) for path in paths}
+    blocking = await db.execute(
+        queries.files_at(mission_id, {key for keys in above.values() for key in keys}, except_id=except_id)
+    )
+    files = {row.path_key: row.path for row in blocking}
+    found = {path: files[key] for path, keys in above.items() for key in keys if key in files}
+    keys = sorted({name_key(path) for path in paths})
+    below = {row.key: row.path for row in await db.execute(queries.files_below(mission_id, keys, except_id=except_id))}
+    return found | {path: below[name_key(path)] for path in paths if name_key(path) in below}
+
+
+def _folders(path: str) -> list[str]:
+    parts = name_key(path).split("/")
+    return ["/".join(parts[:count]) for count in range(1, len(parts))]
+
+
 async def check_path_free(
     db: Connection, mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None = None
 ) -> None:
@@ -127,12 +156,10 @@ async def check_path_free(
         NameTaken: there is a file of that path, letter case and Unicode form apart.
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
-    other = (await db.execute(queries.in_the_way(mission_id, path, except_id=except_id))).scalar_one_or_none()
-    if other is None:
-        return
-    if name_key(other) == name_key(path):
+    if (await db.execute(queries.files_at(mission_id, [name_key(path)], except_id=except_id))).first() is not None:
         raise NameTaken(noun="file", name=path)
-    raise PathConflict(path=path, other=other)
+    if other := (await path_conflicts(db, mission_id, [path], except_id=except_id)).get(path):
+        raise PathConflict(path=path, other=other)
 
 
 async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID]) -> list[DownloadLink]:
