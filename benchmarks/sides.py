@@ -112,8 +112,8 @@ async def _join(storage: Storage, files: list[_RawFile]) -> None:
 
 
 async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:
-    async with open_storage(Settings(), ChecksumKind.crc64nvme) as storage:
-        return await work(storage)
+    async with open_storage(Settings()) as storage:
+        return await work(storage.proving_by(ChecksumKind.crc64nvme))
 
 
 def download_ours(mission: str, destination: str) -> dict[str, float]:

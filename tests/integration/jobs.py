@@ -6,7 +6,6 @@ from typing import TypeVar
 
 from procrastinate import PsycopgConnector
 
-from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.queue import queue
@@ -46,9 +45,8 @@ def on_site(api: Api, work: Callable[[Site], Awaitable[T]]) -> T:
     async def run() -> T:
         database = open_database(settings)
         try:
-            async with open_storage(settings, ChecksumKind.crc64nvme) as storage:
-                checksum = api.app.state.storage.checksum
-                return await work(Site(database, storage.proving_by(checksum), settings))
+            async with open_storage(settings) as storage:
+                return await work(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))
         finally:
             await database.close()
 

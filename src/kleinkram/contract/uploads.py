@@ -5,7 +5,8 @@ import enum
 import uuid
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead
@@ -40,6 +41,9 @@ class ChecksumKind(str, enum.Enum):
     crc64nvme = "crc64nvme"
     sha256 = "sha256"
     md5 = "md5"
+
+
+CHECKSUM_HEX_DIGITS = {ChecksumKind.crc64nvme: 16, ChecksumKind.sha256: 64, ChecksumKind.md5: 32}
 
 
 class UploadState(str, enum.Enum):
@@ -166,7 +170,7 @@ class PartToSign(BaseModel):
 
     upload_id: uuid.UUID
     number: PartNumber
-    checksum: Annotated[str, Field(pattern=r"^[0-9a-f]{16,64}$")]
+    checksum: Annotated[str, Field(pattern=r"^([0-9a-f]{16}|[0-9a-f]{32}|[0-9a-f]{64})$")]
 
 
 class PartsSign(BaseModel):
@@ -175,6 +179,12 @@ class PartsSign(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     parts: Annotated[list[PartToSign], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
+
+    @model_validator(mode="after")
+    def _each_part_once(self) -> Self:
+        if len({(part.upload_id, part.number) for part in self.parts}) < len(self.parts):
+            raise ValueError("a part is asked for twice; one part has one checksum")
+        return self
 
 
 class SignedPart(BaseModel):

@@ -9,7 +9,6 @@ from fastapi import FastAPI
 
 import kleinkram
 from kleinkram.contract.errors import ProblemDocument
-from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.db import open_database
@@ -19,7 +18,7 @@ from kleinkram.server.health.routes import router as service
 from kleinkram.server.http import Envelope, install_handlers
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
-from kleinkram.server.probe import probe_checksum, record_probe
+from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.search.routes import router as search
@@ -37,16 +36,18 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = open_database(settings)
-        async with open_storage(settings, ChecksumKind.crc64nvme) as store:
-            kind = await probe_checksum(store)
+        async with open_storage(settings) as store:
+            abilities = await probe(store)
             owner_token = await _read_owner_token(settings)
             async with database.begin() as db:
-                await record_probe(db, settings.store_id, kind)
+                await record_probe(db, settings.store_id, abilities)
                 if owner_token:
                     await ensure_owner(db, owner_token)
             app.state.database = database
-            app.state.storage = store.proving_by(kind)
-            _log.info("serving", extra={"fields": {"version": kleinkram.__version__, "checksum": kind.value}})
+            app.state.storage = store.with_abilities(abilities)
+            _log.info(
+                "serving", extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}}
+            )
             yield
         await database.close()
 

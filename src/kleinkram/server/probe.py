@@ -12,7 +12,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.db import Connection
-from kleinkram.server.storage import Storage, StoreRefused
+from kleinkram.server.storage import Abilities, Storage, StoreRefused
 from kleinkram.server.tables import store_probe
 
 _log = logging.getLogger("kleinkram.probe")
@@ -20,35 +20,47 @@ _BODY = b"kleinkram probes what this store verifies"
 _OTHER = b"kleinkram probes what this store VERIFIES"
 
 
-async def probe_checksum(storage: Storage) -> ChecksumKind:
-    """Return the strongest proof that the store gives: it takes the right checksum and refuses a wrong one.
+async def probe(storage: Storage) -> Abilities:
+    """Return what the store can do: the strongest proof it gives, and whether it keeps an object from being rewritten.
 
     Raises:
         StoreUnavailable: the store does not answer, or verifies nothing at all, so that nothing may be kept in it.
     """
+    await storage.check()
     for kind in (ChecksumKind.crc64nvme, ChecksumKind.sha256, ChecksumKind.md5):
         if await _refuses_wrong(storage, kind) and (
-            kind is not ChecksumKind.crc64nvme or await _joins_by_full_checksum(storage)
+            kind is not ChecksumKind.crc64nvme or await _joins_by_full_checksum(storage.proving_by(kind))
         ):
-            return kind
+            return Abilities(kind, writes_once=await _writes_once(storage))
     raise StoreUnavailable(reason="it accepts bytes that differ from their checksum, so it cannot keep recordings safe")
+
+
+async def _takes(storage: Storage, key: str, **arguments: str) -> bool:
+    # Only the store's own refusal counts: one that does not answer has neither taken nor refused.
+    try:
+        await storage.put_small(key, _BODY, **arguments)
+    except StoreRefused:
+        return False
+    return True
 
 
 async def _refuses_wrong(storage: Storage, kind: ChecksumKind) -> bool:
     key = f"probe/{uuid.uuid4()}"
     try:
-        await storage.put_small(key, _BODY, **_argument(kind, _BODY))
-    except (StoreRefused, StoreUnavailable):
-        return False
-    try:
-        await storage.put_small(f"{key}-wrong", _BODY, **_argument(kind, _OTHER))
-    except (StoreRefused, StoreUnavailable):
-        return True
-    else:
-        return False
+        right = await _takes(storage, key, **_argument(kind, _BODY))
+        return right and not await _takes(storage, f"{key}-wrong", **_argument(kind, _OTHER))
     finally:
         await storage.delete(key)
         await storage.delete(f"{key}-wrong")
+
+
+async def _writes_once(storage: Storage) -> bool:
+    key = f"probe/{uuid.uuid4()}"
+    try:
+        first = await _takes(storage, key, IfNoneMatch="*")
+        return first and not await _takes(storage, key, IfNoneMatch="*")
+    finally:
+        await storage.delete(key)
 
 
 def _argument(kind: ChecksumKind, body: bytes) -> dict[str, str]:
@@ -61,29 +73,32 @@ def _argument(kind: ChecksumKind, body: bytes) -> dict[str, str]:
 
 async def _joins_by_full_checksum(storage: Storage) -> bool:
     key = f"probe/{uuid.uuid4()}"
-    trial = storage.proving_by(ChecksumKind.crc64nvme)
     try:
-        multipart_id = await trial.begin_multipart(key)
+        multipart_id = await storage.begin_multipart(key)
     except StoreRefused:
         return False
     try:
-        await trial.put_small_part(key, multipart_id, _BODY)
-        try:
-            await trial.complete_multipart(key, multipart_id, crc64nvme=crc64nvme(_OTHER).to_bytes(8, "big"))
-        except StoreRefused:
-            await trial.complete_multipart(key, multipart_id, crc64nvme=crc64nvme(_BODY).to_bytes(8, "big"))
-            return await trial.find(key) is not None
-        return False
-    except StoreRefused:
-        return False
+        await storage.put_small_part(key, multipart_id, _BODY)
+        if await _joins(storage, key, multipart_id, _OTHER):
+            return False
+        return await _joins(storage, key, multipart_id, _BODY)
     finally:
-        await trial.abort_multipart(key, multipart_id)
-        await trial.delete(key)
+        await storage.abort_multipart(key, multipart_id)
+        await storage.delete(key)
 
 
-async def record_probe(db: Connection, store_id: str, kind: ChecksumKind) -> None:
-    """Keep what the probe found, for `klein doctor` and for whoever reads the database."""
-    values = {"checksum": kind.value, "detail": f"refused a wrong {kind.value}", "probed_at": func.now()}
+async def _joins(storage: Storage, key: str, multipart_id: str, stated: bytes) -> bool:
+    try:
+        await storage.complete_multipart(key, multipart_id, crc64nvme=crc64nvme(stated).to_bytes(8, "big"))
+    except StoreRefused:
+        return False
+    return True
+
+
+async def record_probe(db: Connection, store_id: str, abilities: Abilities) -> None:
+    """Keep what the probe found, for whoever looks into the database, and say it in the log."""
+    found = {"checksum": abilities.checksum.value, "writes_once": abilities.writes_once}
+    values = {**found, "probed_at": func.now()}
     statement = upsert(store_probe).values(store_id=store_id, **values)
     await db.execute(statement.on_conflict_do_update(index_elements=["store_id"], set_=values))
-    _log.info("store probed", extra={"fields": {"store_id": store_id, "checksum": kind.value}})
+    _log.info("store probed", extra={"fields": {"store_id": store_id, **found}})

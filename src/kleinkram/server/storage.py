@@ -8,7 +8,7 @@ import asyncio
 import base64
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from aiobotocore.config import AioConfig
@@ -35,7 +35,18 @@ _HEADERS = {
 
 
 class StoreRefused(Exception):
-    """The store would not take what it was given: parts missing, or a checksum that differs. Its own words inside."""
+    """The store would not take what it was given, for a reason that trying again does not mend. Its own words inside.
+
+    `is_digest`: the bytes are not those of the stated checksum.
+    """
+
+    def __init__(self, words: str, *, is_digest: bool = False) -> None:
+        super().__init__(words)
+        self.is_digest = is_digest
+
+
+class StoreMissing(Exception):
+    """The store says that it has no such object or multipart upload."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +77,31 @@ class PartTarget:
     checksum: str
 
 
-class Storage:
-    """One bucket of one store. `checksum` is how it proves what it receives, as the start-up probe found."""
+@dataclass(frozen=True)
+class Abilities:
+    """What a store can do, as the start-up probe found.
 
-    def __init__(self, internal: Any, public: Any, bucket: str, checksum: ChecksumKind) -> None:
+    `checksum`: how it proves what it receives. `writes_once`: it refuses to write an object that exists.
+    """
+
+    checksum: ChecksumKind
+    writes_once: bool
+
+
+class Storage:
+    """One bucket of one store."""
+
+    def __init__(self, internal: Any, public: Any, bucket: str, abilities: Abilities) -> None:
         # Any: botocore builds its clients from data at run time.
         self._internal = internal
         self._public = public
         self.bucket = bucket
-        self.checksum = checksum
+        self.abilities = abilities
+
+    @property
+    def checksum(self) -> ChecksumKind:
+        """How the store proves what it receives."""
+        return self.abilities.checksum
 
     async def check(self) -> None:
         """Ask for the bucket.
@@ -109,7 +136,7 @@ class Storage:
                 answer = await self._call(
                     "list_parts", Bucket=self.bucket, Key=key, UploadId=multipart_id, PartNumberMarker=marker
                 )
-            except StoreRefused:
+            except StoreMissing:
                 return None
             parts += answer.get("Parts", [])
             if not answer.get("IsTruncated"):
@@ -117,7 +144,11 @@ class Storage:
             marker = int(answer["NextPartNumberMarker"])
 
     async def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
-        """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused."""
+        """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused.
+
+        The address of a whole object is good for one write where the store can promise that, so that it cannot be used
+        to replace what was proven meanwhile. A part's dies with its multipart upload.
+        """
         checksum = base64.b64encode(bytes.fromhex(target.checksum)).decode()
         parameters: dict[str, Any] = {
             "Bucket": self.bucket,
@@ -127,19 +158,23 @@ class Storage:
         }
         if target.multipart_id is not None:
             parameters |= {"UploadId": target.multipart_id, "PartNumber": target.number}
+        headers = {_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)}
+        if target.multipart_id is None and self.abilities.writes_once:
+            parameters["IfNoneMatch"] = headers["If-None-Match"] = "*"
         operation = "put_object" if target.multipart_id is None else "upload_part"
         url = await self._public.generate_presigned_url(operation, Params=parameters, ExpiresIn=round(expires_s))
-        return Signed(url, {_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)})
+        return Signed(url, headers)
 
     async def complete_multipart(self, key: str, multipart_id: str, *, crc64nvme: bytes) -> None:
         """Join the parts; the store compares the whole object's CRC-64/NVME where it can.
 
         Raises:
+            StoreMissing: the store does not know this upload; it may have been completed before.
             StoreRefused: parts are missing or the checksum differs; no object came to be and the parts are still there.
         """
         parts = await self._raw_parts(key, multipart_id)
         if parts is None:
-            raise StoreRefused("the store does not know this upload")
+            raise StoreMissing(multipart_id)
         listing: list[dict[str, Any]] = [{"PartNumber": part["PartNumber"], "ETag": part["ETag"]} for part in parts]
         arguments: dict[str, Any] = {}
         if self.checksum is ChecksumKind.crc64nvme:
@@ -161,14 +196,14 @@ class Storage:
         """Drop a multipart upload and its parts; nothing happens where there is none."""
         try:
             await self._call("abort_multipart_upload", Bucket=self.bucket, Key=key, UploadId=multipart_id)
-        except StoreRefused:
+        except StoreMissing:
             return
 
     async def find(self, key: str) -> StoredObject | None:
         """Return what the store says of an object, or None where there is none."""
         try:
             answer = await self._call("head_object", Bucket=self.bucket, Key=key, ChecksumMode="ENABLED")
-        except StoreRefused:
+        except StoreMissing:
             return None
         crc = answer.get("ChecksumCRC64NVME")
         return StoredObject(key, answer["ContentLength"], base64.b64decode(crc) if crc else None)
@@ -215,7 +250,7 @@ class Storage:
         """
         try:
             answer = await self._call("get_object", Bucket=self.bucket, Key=key)
-        except StoreRefused:
+        except StoreMissing:
             raise FileNotFoundError(key) from None
         async with answer["Body"] as body:
             try:
@@ -242,7 +277,11 @@ class Storage:
 
     def proving_by(self, checksum: ChecksumKind) -> "Storage":
         """Return the same store, asked for another kind of proof."""
-        return Storage(self._internal, self._public, self.bucket, checksum)
+        return Storage(self._internal, self._public, self.bucket, replace(self.abilities, checksum=checksum))
+
+    def with_abilities(self, abilities: Abilities) -> "Storage":
+        """Return the same store, of which more is known."""
+        return Storage(self._internal, self._public, self.bucket, abilities)
 
     async def delete(self, key: str) -> None:
         """Delete an object; nothing happens where there is none."""
@@ -258,12 +297,24 @@ class Storage:
         return answer
 
 
+# What a store says when the request itself is at fault. Everything else may go better another time.
+_REFUSALS = frozenset(
+    {"InvalidPart", "InvalidPartOrder", "EntityTooSmall", "EntityTooLarge", "InvalidRequest", "InvalidArgument"}
+    | {"BadRequest", "NotImplemented", "PreconditionFailed", "MalformedXML"}
+)
+_DIGESTS = frozenset({"BadDigest", "InvalidDigest", "XAmzContentChecksumMismatch"})
+_MISSING = frozenset({"NoSuchKey", "NoSuchUpload"})
+
+
 def _refusal(error: ClientError, operation: str) -> Exception:
     code = str(error.response["Error"].get("Code", "unknown"))
     status = int(error.response["ResponseMetadata"].get("HTTPStatusCode", 500))
-    if status >= 500 or status in {401, 403} or (operation == "head_bucket"):
-        return StoreUnavailable(reason=f"{operation}: {code}")
-    return StoreRefused(f"{operation}: {code}: {error.response['Error'].get('Message', '')}")
+    if operation != "head_bucket" and (code in _MISSING or (operation == "head_object" and status == 404)):
+        return StoreMissing(operation)
+    if code in _DIGESTS or code in _REFUSALS:
+        words = f"{operation}: {code}: {error.response['Error'].get('Message', '')}"
+        return StoreRefused(words, is_digest=code in _DIGESTS)
+    return StoreUnavailable(reason=f"{operation}: {code}")
 
 
 def _client_arguments(settings: Settings, url: str) -> dict[str, Any]:
@@ -287,8 +338,8 @@ def _client_arguments(settings: Settings, url: str) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def open_storage(settings: Settings, checksum: ChecksumKind) -> AsyncIterator[Storage]:
-    """Open the store for the life of a process."""
+async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
+    """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
     session = get_session()
     async with AsyncExitStack() as stack:
         internal = await stack.enter_async_context(
@@ -298,4 +349,4 @@ async def open_storage(settings: Settings, checksum: ChecksumKind) -> AsyncItera
         if settings.store_public_url != settings.s3_internal_url:
             arguments = _client_arguments(settings, settings.store_public_url)
             public = await stack.enter_async_context(session.create_client("s3", **arguments))
-        yield Storage(internal, public, settings.s3_bucket, checksum)
+        yield Storage(internal, public, settings.s3_bucket, Abilities(ChecksumKind.md5, writes_once=False))

@@ -6,7 +6,6 @@ import uuid
 import pytest
 import urllib3
 
-from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.storage import open_storage
 from tests.integration.running import Api
 from tests.integration.sample import Sample
@@ -20,7 +19,7 @@ def _mission(api: Api) -> str:
 
 def _stored(api: Api, key: str, body: bytes) -> None:
     async def put() -> None:
-        async with open_storage(api.app.state.settings, ChecksumKind.crc64nvme) as storage:
+        async with open_storage(api.app.state.settings) as storage:
             await storage.put_small(key, body)
 
     asyncio.run(put())

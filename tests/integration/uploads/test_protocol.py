@@ -141,7 +141,7 @@ def test_an_address_dies_with_its_time(start_api: Any) -> None:
     mission_id = api.mission(api.project()["id"])["id"]
     started = begin(api, mission_id, {"run.bin": b"body"})[0]["upload"]
     signed = sign(api, started, [(1, b"body")]).ok()["items"][0]
-    uploading.wait_until(lambda: put(signed, b"body") == 403)
+    uploading.wait_until(lambda: put(signed, b"evil") == 403)  # alive, it answers 400 to these
     again = sign(api, started, [(1, b"body")]).ok()["items"][0]
     assert put(again, b"body") == 200
 
@@ -256,3 +256,58 @@ def test_parts_are_cut_alike_by_everybody(api: Api, mission_id: str) -> None:
     body = bytes(2 * _PART + 1)
     started = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     assert [len(piece) for _, piece in parts_of(started, body)] == [_PART, _PART, 1]
+
+
+def test_one_part_is_signed_for_one_checksum_only(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
+    started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
+    sign(api, started, [(1, one), (1, two)]).refused(422, "invalid_request")
+
+
+def test_an_address_writes_once(api: Api, mission_id: str, one: bytes) -> None:
+    started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
+    signed = sign(api, started, [(1, one)]).ok()["items"][0]
+    assert put(signed, one) == 200
+    assert put(signed, one) == 412, "so that nobody can replace what is proven by then"
+    assert complete(api, started, one)["outcome"] == "completed"
+
+
+def test_a_checksum_of_the_wrong_kind_is_refused_and_spoils_nothing(api: Api, mission_id: str, one: bytes) -> None:
+    started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
+    wrong = {"upload_id": started["id"], "number": 1, "checksum": sha256(one)}
+    problem = api.post("/uploads/parts", {"parts": [wrong]}).refused(422, "invalid_request")
+    assert "16 hex digits" in problem["detail"]
+    api.post("/uploads/parts", {"parts": [{**wrong, "checksum": "ab" * 8 + "c"}]}).refused(422, "invalid_request")
+    send(api, started, one)
+    assert complete(api, started, one)["outcome"] == "completed"
+
+
+def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
+    assert [each["decision"] for each in begin(api, mission_id, {"day": one, "day/run": two})] == ["send", "refused"]
+    other = begin(api, mission_id, {"day/run": two})[0]["upload"]
+    first = api.all(f"/missions/{mission_id}/uploads")[0]
+    for upload_read, body in ((first, one), (other, two)):
+        send(api, upload_read, body)
+    finishes = [
+        {"upload_id": each["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+        for each, body in ((first, one), (other, two))
+    ]
+    outcomes = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
+    assert [outcome["outcome"] for outcome in outcomes] == ["completed", "refused"]
+    assert outcomes[1]["problem"]["code"] == "path_conflict"
+
+
+def test_of_a_batch_completed_again_only_what_was_deleted_is_gone(
+    api: Api, mission_id: str, one: bytes, two: bytes
+) -> None:
+    uploads = [each["upload"] for each in begin(api, mission_id, {"one": one, "two": two})]
+    for each, body in zip(uploads, (one, two), strict=True):
+        send(api, each, body)
+    finishes = [
+        {"upload_id": each["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+        for each, body in zip(uploads, (one, two), strict=True)
+    ]
+    made = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
+    api.delete(f"/files/{made[0]['file']['id']}").ok()
+    again = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
+    assert again[0]["problem"]["code"] == "upload_gone"
+    assert again[1]["file"]["id"] == made[1]["file"]["id"]

@@ -56,7 +56,8 @@ class StoreDoor:
             answer = self._pool.request("PUT", url, body=cast("Iterable[bytes]", body), headers=headers, redirect=False)
         except urllib3.exceptions.HTTPError as error:
             return PutAnswer(Answer.try_again, error=error)
-        if answer.status < 300:
+        # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
+        if answer.status < 300 or answer.status == 412:
             return PutAnswer(Answer.taken, etag=answer.headers.get("ETag", "").strip('"'))
         return PutAnswer(meaning(answer.status), reason=_reason(answer.status, answer.data))
 

@@ -10,6 +10,7 @@ import uuid
 from awscrt.checksums import crc64nvme
 from procrastinate import JobContext
 from sqlalchemy import Row
+from sqlalchemy.exc import DataError, IntegrityError
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
@@ -28,6 +29,7 @@ from kleinkram.recordings import (
 from kleinkram.server.blobs import service
 from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, site_of
 from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.site import Site
 from kleinkram.server.trash.emptying import empty_trash
@@ -43,7 +45,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     blob_id = uuid.UUID(ref)
     async with site.database.begin() as db:
         row = await service.get_blob(db, blob_id)
-    if row is None or row.path is None:
+    if row is None or row.path is None or row.store_id != site.settings.store_id:
         return
     try:
         summary = await _summary(site, row)
@@ -53,8 +55,13 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
         async with site.database.begin() as db:
             await service.keep_failure(db, blob_id, str(failure))
         return
-    async with site.database.begin() as db:
-        await service.keep_summary(db, blob_id, summary)
+    try:
+        async with site.database.begin() as db:
+            await service.keep_summary(db, blob_id, summary)
+    except (DataError, IntegrityError) as error:  # a file may say what no column holds
+        _log.error("summary not kept", extra={"fields": {"blob_id": ref, "reason": str(error.orig)}})
+        async with site.database.begin() as db:
+            await service.keep_failure(db, blob_id, "what it says of itself does not fit into the database")
 
 
 async def _summary(site: Site, row: Row[tuple[object, ...]]) -> RecordingSummary:
@@ -91,7 +98,7 @@ async def prove_blob(context: JobContext, ref: str) -> None:
     blob_id = uuid.UUID(ref)
     async with site.database.begin() as db:
         row = await service.get_blob(db, blob_id)
-    if row is None:
+    if row is None or row.store_id != site.settings.store_id:
         return
     try:
         found = await _read_through(site, row.key)
@@ -167,14 +174,17 @@ async def sweep(context: JobContext, timestamp: int = 0) -> None:
 async def sweep_once(site: Site) -> None:
     """Do one round of the sweep; what a round leaves, the next one takes."""
     async with site.database.begin() as db:
-        await service.examine_forgotten(db, limit=_SWEEP_BATCH)
+        await service.examine_forgotten(db, store_id=site.settings.store_id, limit=_SWEEP_BATCH)
         await regroup_forgotten(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
+        await forget_ended(db)
         await empty_trash(db, older_than_days=site.settings.trash_days, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
         await service.doom_unreferenced(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
-        doomed = await service.doomed_blobs(db, grace_s=site.settings.sweep_grace_s, limit=_SWEEP_BATCH)
+        doomed = await service.doomed_blobs(
+            db, store_id=site.settings.store_id, grace_s=site.settings.sweep_grace_s, limit=_SWEEP_BATCH
+        )
     for row in doomed:
         await site.storage.delete(row.key)
         async with site.database.begin() as db:

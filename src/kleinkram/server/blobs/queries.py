@@ -3,13 +3,10 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, Text, cast, column, exists, func, select, table, text
+from sqlalchemy import ColumnElement, Select, exists, func, select, text
 
 from kleinkram.contract.files import BlobState, ContentState
-from kleinkram.server.jobs.queue import Job
 from kleinkram.server.tables import blob, file
-
-_jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
 
 
 def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
@@ -37,10 +34,3 @@ def unproven() -> Select[Any]:
     """Return ids of blobs that nobody has proven for ten minutes."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
     return select(blob.c.id).where(blob.c.doomed_at.is_(None), blob.c.state == BlobState.stored.value, late)
-
-
-def has_job(job: Job) -> ColumnElement[bool]:
-    """Say of a blob whether a job for it waits or runs."""
-    alive = cast(_jobs.c.status, Text).in_(["todo", "doing"])
-    own = _jobs.c.args.op("->>")("ref") == cast(blob.c.id, Text)
-    return exists().where(_jobs.c.task_name == job.value, alive, own)

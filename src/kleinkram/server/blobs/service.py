@@ -11,8 +11,9 @@ from sqlalchemy import Row, delete, func, insert, select, update
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.recordings import RecordingSummary
 from kleinkram.server.blobs import queries
+from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, topic
 
@@ -26,19 +27,29 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.whenever)
 
 
-async def examine_forgotten(db: Connection, *, limit: int) -> None:
+async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> None:
     """See to blobs whose jobs were given up (a store that was away for long): nothing waits for ever.
 
     What we failed to read is tried again once a day.
     """
     for job, wanting in ((Job.summarise_blob, queries.unread()), (Job.prove_blob, queries.unproven())):
-        statement = wanting.where(~queries.has_job(job)).order_by(blob.c.created_at).limit(limit)
+        statement = (
+            wanting.where(blob.c.store_id == store_id, ~has_job(job, blob.c.id))
+            .order_by(blob.c.created_at)
+            .limit(limit)
+        )
         ids = [str(each) for each in (await db.execute(statement)).scalars()]
         await enqueue(db, job, ids=ids, urgency=Urgency.whenever)
 
 
 async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
-    """See to it that a blob is read and compared with its checksums once more, ahead of routine proving."""
+    """See to it that a blob is read and compared with its checksums once more, ahead of routine proving.
+
+    Asking again while a job for it waits changes nothing.
+    """
+    waiting = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.prove_blob, blob.c.id))
+    if (await db.execute(waiting)).first() is not None:
+        return
     await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
 
 
@@ -53,15 +64,18 @@ async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSum
     rows = [_topic_values(blob_id, each) for each in summary.topics]
     if rows:
         await db.execute(insert(topic), rows)
+    start_ns, end_ns = summary.start_ns, summary.end_ns
+    if _bigint(start_ns) is None or _bigint(end_ns) is None:
+        start_ns = end_ns = None  # half a span is none
     values = {
         "content": summary.content.value,
-        "content_reason": _clean(summary.reason),
+        "content_reason": fit(summary.reason),
         "format": summary.format.value,
-        "message_count": summary.message_count,
-        "start_ns": _bigint(summary.start_ns),
-        "end_ns": _bigint(summary.end_ns),
-        "compression": list(summary.compression),
-        "problems": [{key: _clean(value) for key, value in asdict(each).items()} for each in summary.problems],
+        "message_count": _bigint(summary.message_count),
+        "start_ns": start_ns,
+        "end_ns": end_ns,
+        "compression": [fit(each) for each in summary.compression],
+        "problems": [{key: fit(value) for key, value in asdict(each).items()} for each in summary.problems],
         "summarised_at": func.now(),
     }
     await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
@@ -72,14 +86,9 @@ def _topic_values(blob_id: uuid.UUID, each: Any) -> dict[str, object]:
     values = asdict(each)
     values.pop("suspect_count")
     texts = ("name", "message_type", "schema_name", "schema_encoding", "message_encoding")
-    values |= {key: _clean(values[key]) for key in texts}
+    values |= {key: fit(values[key]) for key in texts}
     values |= {key: _bigint(value) for key, value in values.items() if isinstance(value, int)}
     return {"blob_id": blob_id, **values}
-
-
-def _clean(text: str | None) -> str | None:
-    # PostgreSQL holds no NUL in text, and a recording may hold anything in a topic's name.
-    return text.replace("\0", "\\0") if text is not None else None
 
 
 def _bigint(value: int | None) -> int | None:
@@ -89,14 +98,14 @@ def _bigint(value: int | None) -> int | None:
 
 async def keep_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
     """Keep that we failed to read a blob, and why."""
-    values = {"content": ContentState.error.value, "content_reason": reason, "summarised_at": func.now()}
+    values = {"content": ContentState.error.value, "content_reason": fit(reason), "summarised_at": func.now()}
     await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
     await _regroup_missions(db, blob_id)
 
 
 async def _regroup_missions(db: Connection, blob_id: uuid.UUID) -> None:
     holding = select(file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None)).distinct()
-    for mission_id in (await db.execute(holding)).scalars():
+    for mission_id in sorted((await db.execute(holding)).scalars()):
         await regroup(db, mission_id)
 
 
@@ -132,11 +141,13 @@ async def doom_unreferenced(db: Connection, *, limit: int) -> int:
     return result.rowcount
 
 
-async def doomed_blobs(db: Connection, *, grace_s: float, limit: int) -> Sequence[Row[Any]]:
-    """Return id and key of blobs that were doomed longer ago than the grace."""
+async def doomed_blobs(db: Connection, *, store_id: str, grace_s: float, limit: int) -> Sequence[Row[Any]]:
+    """Return id and key of this store's blobs that were doomed longer ago than the grace."""
     before = func.now() - datetime.timedelta(seconds=grace_s)
     # Looked at once more, although nothing can link to a doomed blob: what goes now is gone.
-    due = select(blob.c.id, blob.c.key).where(blob.c.doomed_at < before, ~queries.is_referred())
+    due = select(blob.c.id, blob.c.key).where(
+        blob.c.store_id == store_id, blob.c.doomed_at < before, ~queries.is_referred()
+    )
     return (await db.execute(due.order_by(blob.c.doomed_at).limit(limit))).all()
 
 

@@ -7,12 +7,14 @@ import logging
 import signal
 
 from procrastinate import App, PsycopgConnector
+from procrastinate.exceptions import ConnectorException
+from procrastinate.jobs import Job as ProcrastinateJob
+from procrastinate.jobs import Status
 
 import kleinkram
-from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs.queue import queue
+from kleinkram.server.jobs.queue import DEFAULT, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
@@ -37,7 +39,7 @@ async def run_worker(settings: Settings) -> None:
 
 
 async def _open_and_run(settings: Settings) -> None:
-    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=4)
+    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=6)
     # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
     with queue.replace_connector(connector) as app:
         await _run(app, settings)
@@ -45,30 +47,58 @@ async def _open_and_run(settings: Settings) -> None:
 
 async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings)
-    async with app.open_async(), open_storage(settings, ChecksumKind.crc64nvme) as storage:
+    async with app.open_async(), open_storage(settings) as storage:
         site = Site(database, storage, settings)
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
-        rescue = asyncio.create_task(_rescue_stalled(app))
+        tasks = [
+            asyncio.create_task(_work(app, site, lane=DEFAULT, at_once=_AT_ONCE)),
+            asyncio.create_task(_work(app, site, lane=PROVING, at_once=1)),
+            asyncio.create_task(_rescue_stalled(app)),
+        ]
         try:
-            await app.run_worker_async(
-                concurrency=_AT_ONCE,
-                install_signal_handlers=False,
-                additional_context={"site": site},
-                shutdown_graceful_timeout=20,
-                fetch_job_polling_interval=2,
-                update_heartbeat_interval=5,
-                stalled_worker_timeout=20,
-                delete_jobs="successful",
-            )
+            # None of them ends by itself: the first that does has failed, and ends the process, which is started anew.
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
         finally:
-            rescue.cancel()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
             await database.close()
+
+
+async def _work(app: App, site: Site, *, lane: str, at_once: int) -> None:
+    await app.run_worker_async(
+        queues=[lane],
+        concurrency=at_once,
+        install_signal_handlers=False,
+        additional_context={"site": site},
+        shutdown_graceful_timeout=20,
+        fetch_job_polling_interval=2,
+        update_heartbeat_interval=5,
+        stalled_worker_timeout=20,
+        delete_jobs="successful",
+    )
 
 
 async def _rescue_stalled(app: App) -> None:
     """Put back jobs whose worker died."""
     while True:
-        for job in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=_STALLED_CHECK_S):
-            _log.warning("job put back", extra={"fields": {"job": job.task_name, "id": job.id}})
-            await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
+        try:
+            for job in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=_STALLED_CHECK_S):
+                await _rescue(app, job)
+        except ConnectorException as error:  # the database is away; the next round finds the same jobs
+            _log.warning("stalled jobs not looked at", extra={"fields": {"reason": str(error)}})
         await asyncio.sleep(_STALLED_CHECK_S)
+
+
+async def _rescue(app: App, job: ProcrastinateJob) -> None:
+    """Put one job back; a periodic one is closed instead, since its next round waits already."""
+    _log.warning("job of a dead worker", extra={"fields": {"job": job.task_name, "id": job.id}})
+    try:
+        if job.queueing_lock is not None:
+            await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
+        else:
+            await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
+    except ConnectorException as error:  # taken up by another worker meanwhile, or to be seen in the next round
+        _log.warning("job not put back", extra={"fields": {"id": job.id, "reason": str(error)}})

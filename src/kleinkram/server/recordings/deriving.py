@@ -10,11 +10,13 @@ from sqlalchemy import Row, Select, bindparam, delete, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.recordings import RecordingGroup, Rosbag2Metadata, group
+from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import blob, file, mission, recording
 
 _INSERT_BATCH = 1000
 # 1990: no robot recorded before; a clock that starts in 1970 was never set.
+_MAX_BIGINT = 2**63 - 1
 _CREDIBLE_NS = 631_152_000 * 10**9
 
 
@@ -57,16 +59,15 @@ def derive(rows: Sequence[Row[Any]], stated: Mapping[str, Rosbag2Metadata]) -> l
 
 def _derive_one(each: RecordingGroup, by_path: Mapping[str, Row[Any]], stated: Rosbag2Metadata | None) -> Derived:
     members = [by_path[path] for path in each.members]
-    starts = [row.start_ns for row in members if row.start_ns is not None]
-    ends = [row.end_ns for row in members if row.end_ns is not None]
+    spans = [(row.start_ns, row.end_ns) for row in members if row.start_ns is not None]
     counts = [row.message_count for row in members]
     count = sum(counts) if None not in counts else None
     values: dict[str, Any] = {
         "name": each.name,
         "kind": each.kind.value,
-        "start_ns": min(starts, default=None),
-        "end_ns": max(ends, default=None),
-        "message_count": count,
+        "start_ns": min((start for start, _ in spans), default=None),
+        "end_ns": max((end for _, end in spans), default=None),
+        "message_count": count if count is not None and count <= _MAX_BIGINT else None,
         "missing": [],
         "surplus": [],
         "problems": [],
@@ -76,7 +77,7 @@ def _derive_one(each: RecordingGroup, by_path: Mapping[str, Row[Any]], stated: R
 
 def _compared(each: RecordingGroup, stated: Rosbag2Metadata, count: int | None) -> dict[str, Any]:
     here = {PurePosixPath(path).name for path in each.members}
-    named = [PurePosixPath(path).name for path in stated.files]
+    named = [fit(PurePosixPath(path).name) for path in stated.files]
     missing = [name for name in named if name not in here]
     problems = []
     if missing:

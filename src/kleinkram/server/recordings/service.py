@@ -9,7 +9,7 @@ from kleinkram.contract.files import RecordingRead
 from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.recordings import queries
@@ -18,8 +18,6 @@ from kleinkram.server.tables import mission
 _WAITING = text(
     "SELECT 1 FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref LIMIT 1"
 )
-
-_WORKING = text("SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status IN ('todo', 'doing')")
 
 
 async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
@@ -37,10 +35,11 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
 
 async def regroup_forgotten(db: Connection, *, limit: int) -> None:
     """See to missions whose recordings are not those of their files, and for which no job waits or runs."""
-    stale = select(cast(mission.c.id, Text)).where(mission.c.derived_revision != mission.c.files_revision).limit(limit)
-    ids = set((await db.execute(stale)).scalars())
-    working = set((await db.execute(_WORKING, {"task": Job.group_recordings.value})).scalars())
-    await enqueue(db, Job.group_recordings, ids=sorted(ids - working), urgency=Urgency.whenever)
+    stale = select(cast(mission.c.id, Text)).where(
+        mission.c.derived_revision != mission.c.files_revision, ~has_job(Job.group_recordings, mission.c.id)
+    )
+    ids = (await db.execute(stale.limit(limit))).scalars().all()
+    await enqueue(db, Job.group_recordings, ids=ids, urgency=Urgency.whenever)
 
 
 async def get_recording(db: Connection, actor: Actor, recording_id: uuid.UUID) -> RecordingRead:

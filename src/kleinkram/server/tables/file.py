@@ -58,5 +58,6 @@ file = Table(
     Index("uq_file_path_key_live", "mission_id", "path_key", unique=True, postgresql_where=text("deleted_at IS NULL")),
     Index("ix_file_path", "mission_id", "path", "id"),
     Index("ix_file_created_at", "created_at", "id"),
+    Index("ix_file_deleted_at", "deleted_at", postgresql_where=text("deleted_at IS NOT NULL")),
     Index("ix_file_labels", "labels", postgresql_using="gin"),
 )

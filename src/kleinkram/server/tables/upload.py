@@ -63,5 +63,8 @@ upload = Table(
         postgresql_where=text("state IN ('open', 'completing')"),
     ),
     Index("ix_upload_expires_at", "expires_at", postgresql_where=text("state IN ('open', 'completing')")),
+    # For deleting a file or a mission: the rows that refer to it are found without reading all.
+    Index("ix_upload_file_id", "file_id", postgresql_where=text("file_id IS NOT NULL")),
+    Index("ix_upload_mission_id", "mission_id"),
     Index("ix_upload_uncleaned", "created_at", postgresql_where=text("cleaned_at IS NULL")),
 )

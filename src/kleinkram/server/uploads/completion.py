@@ -5,6 +5,7 @@ Every step can be repeated: by the client that lost the answer, or by the job th
 
 import asyncio
 import datetime
+import logging
 import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,7 +23,6 @@ from kleinkram.contract.errors import (
     from_problem,
     to_problem,
 )
-from kleinkram.contract.files import BlobState
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
@@ -39,11 +39,13 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from kleinkram.server.storage import Storage, StoreRefused
+from kleinkram.server.storage import Storage, StoreMissing, StoreRefused
 from kleinkram.server.tables import blob, file, person, upload
 from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.rules import UNREADABLE, first_come
 from kleinkram.server.uploads.service import expected_part_bytes, is_multipart
 
+_log = logging.getLogger("kleinkram.uploads")
 _AT_ONCE = 16
 _LISTING_WORTH = 4
 
@@ -60,7 +62,7 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
     async with site.database.begin() as db:
         found = await db.execute(select(upload.c.id, upload.c.file_id).where(upload.c.id.in_(list(rows))))
         made = {row.id: row.file_id for row in found if row.file_id}
-        reads = {read.id: read for read in await files.read_files(db, actor, list(made.values()))}
+        reads = {read.id: read for read in await files.read_visible_files(db, actor, list(made.values()))}
     outcomes: list[UploadOutcome] = []
     for finish in finishes:
         read = reads.get(made.get(finish.upload_id, finish.upload_id))
@@ -185,9 +187,12 @@ async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
             return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
         try:
             await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
+        except StoreMissing:
+            pass  # completed by another hand; what it made is looked at below
         except StoreRefused as refusal:
-            if await storage.find(row.key) is None:
+            if refusal.is_digest:
                 return ChecksumMismatch(path=row.path, reason=str(refusal))
+            return UploadIncomplete(path=row.path, reason=str(refusal))
     stored = await storage.find(row.key)
     if stored is None:
         return UploadGone(upload_id=str(row.id))
@@ -206,7 +211,9 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     still = set((await db.execute(locked.order_by(upload.c.id).with_for_update())).scalars())
     rows = [row for row in rows if row.id in still]
     existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])
-    conflicts = await queries.path_conflicts(db, mission_id, [row.path for row in rows])
+    paths = [row.path for row in rows]
+    conflicts = await queries.path_conflicts(db, mission_id, paths)
+    conflicts |= {paths[place]: other for place, other in first_come(paths).items()}
     failures: Failures = {}
     made: dict[uuid.UUID, uuid.UUID] = {}
     fresh = []
@@ -231,8 +238,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
 
 
 def _mends(there: Row[Any], row: Row[Any]) -> bool:
-    unreadable = there.state in {BlobState.lost.value, BlobState.corrupt.value}
-    return unreadable and (there.size_bytes, there.sha256) == (row.size_bytes, row.sha256)
+    return there.state in UNREADABLE and (there.size_bytes, there.sha256) == (row.size_bytes, row.sha256)
 
 
 async def _insert(
@@ -332,11 +338,15 @@ async def finish_stale(site: Site, *, older_than_s: float) -> int:
         select(upload, person.c.name.label("person_name"))
         .join(person, person.c.id == upload.c.person_id)
         .where(upload.c.state == UploadState.completing.value, upload.c.completing_since < before)
+        .order_by(upload.c.completing_since)
         .limit(500)
     )
     async with site.database.begin() as db:
         rows = (await db.execute(statement)).all()
     for row in rows:
         actor = Actor(row.person_id, row.person_name, None, None)
-        await settle(site, actor, [row])
+        try:
+            await settle(site, actor, [row])
+        except KleinkramError as error:  # one that cannot be finished yet does not hold up the others
+            _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
     return len(rows)

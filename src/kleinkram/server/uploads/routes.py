@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from kleinkram.contract.paging import Page, PageSize
+from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.uploads import (
     PartsSign,
     SignedParts,
@@ -34,7 +34,7 @@ async def list_open(
     actor: CurrentActor,
     db: Transaction,
     limit: Annotated[PageSize, Query()] = 100,
-    cursor: str | None = None,
+    cursor: Cursor | None = None,
 ) -> Page[UploadRead]:
     """List your uploads under way into a mission."""
     return await service.list_uploads(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))

@@ -2,8 +2,9 @@
 
 import enum
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any
 
 from sqlalchemy import Row
@@ -14,7 +15,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import UploadFile, UploadState
 from kleinkram.server.uploads.queries import Content
 
-_UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 
 
 class Way(enum.Enum):
@@ -41,8 +42,9 @@ class Decision:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the names and contents that a request touches."""
+    """What is known of the names and contents that a request touches, and of who asks."""
 
+    person_id: uuid.UUID
     files: Mapping[str, Row[Any]]
     uploads: Mapping[str, Row[Any]]
     twin_sizes: frozenset[int]
@@ -65,7 +67,7 @@ def decide(wanted: UploadFile, known: Known) -> Decision:
         if decision:
             return decision
     if active := known.uploads.get(key):
-        return _during(wanted, active)
+        return _during(wanted, active, known.person_id)
     return _afresh(wanted, known)
 
 
@@ -82,13 +84,13 @@ def _beside(wanted: UploadFile, existing: Row[Any]) -> Decision | None:
             existing_file_id=str(existing.id),
         )
         return Decision(wanted, Way.refuse, error=error)
-    if existing.state in _UNREADABLE:
+    if existing.state in UNREADABLE:
         return None  # the same content again: this is how a lost or corrupt file is mended
     return Decision(wanted, Way.present, ref=existing.id)
 
 
-def _during(wanted: UploadFile, active: Row[Any]) -> Decision:
-    same = active.path == wanted.path and active.size_bytes == wanted.size_bytes
+def _during(wanted: UploadFile, active: Row[Any], person_id: uuid.UUID) -> Decision:
+    same = active.person_id == person_id and active.path == wanted.path and active.size_bytes == wanted.size_bytes
     if same and active.id == wanted.upload_id and active.state == UploadState.open.value:
         return Decision(wanted, Way.resume, ref=active.id)
     if active.leased or active.state == UploadState.completing.value:
@@ -104,3 +106,23 @@ def _afresh(wanted: UploadFile, known: Known) -> Decision:
     if twin := known.twins.get(content):
         return Decision(wanted, Way.link, ref=twin)
     return Decision(wanted, Way.begin)
+
+
+def first_come(paths: Sequence[str]) -> dict[int, str]:
+    """Return, of paths that are to stand side by side, the places of those that an earlier one keeps out, with it.
+
+    The same name twice (in any case or Unicode form), or a file where another needs a folder.
+    """
+    files: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    refused: dict[int, str] = {}
+    for place, path in enumerate(paths):
+        key = name_key(path)
+        above = [name_key(str(parent)) for parent in PurePosixPath(path).parents if parent.name]
+        other = files.get(key) or folders.get(key) or next((files[each] for each in above if each in files), None)
+        if other is not None:
+            refused[place] = other
+            continue
+        files[key] = path
+        folders |= dict.fromkeys(above, path)
+    return refused

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Row, bindparam, func, update
+from sqlalchemy import Row, bindparam, func, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import (
@@ -19,6 +19,7 @@ from kleinkram.contract.errors import (
     NameLeased,
     NotFound,
     PathConflict,
+    StoreUnavailable,
     UploadGone,
     to_problem,
 )
@@ -26,6 +27,7 @@ from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.uploads import (
+    CHECKSUM_HEX_DIGITS,
     ChecksumKind,
     HashFirst,
     HeldPart,
@@ -51,9 +53,9 @@ from kleinkram.server.recordings.service import regroup
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 from kleinkram.server.storage import PartTarget
-from kleinkram.server.tables import file, upload
+from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.rules import Decision, Known, Way, content_of, decide
+from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, content_of, decide, first_come
 
 _AT_ONCE = 16
 
@@ -69,16 +71,29 @@ async def begin_uploads(
         NotFound: no such mission for `actor`.
     """
     async with site.database.begin() as db:
+        if not await queries.lock_mission(db, actor, mission_id):
+            raise NotFound(noun="mission", ref=str(mission_id))
         decisions = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
         decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
         decisions = await _link_twins(db, actor, mission_id=mission_id, decisions=decisions)
         held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
         rows = await queries.locked_uploads(db, actor, held)
-    parts = await _open_at_store(site, [row for row in rows.values() if is_multipart(row)])
+    try:
+        parts = await _open_at_store(site, [row for row in rows.values() if is_multipart(row)])
+    except StoreUnavailable:
+        await _let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
+        raise
     async with site.database.begin() as db:
         refs = [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]
-        reads = {read.id: read for read in await files.read_files(db, actor, refs)}
+        reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
     return [_answer(decision, rows, parts, reads, actor.request_id) for decision in decisions]
+
+
+async def _let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
+    """Free names whose holder never heard of it."""
+    async with site.database.begin() as db:
+        unheard = upload.c.id.in_([each for each in upload_ids if each]) & (upload.c.state == UploadState.open.value)
+        await db.execute(update(upload).where(unheard).values(state=UploadState.aborted.value))
 
 
 def is_multipart(row: Row[Any]) -> bool:
@@ -89,26 +104,24 @@ def is_multipart(row: Row[Any]) -> bool:
 async def _decide_all(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
 ) -> list[Decision]:
-    await missions.get_mission_row(db, actor, mission_id)
     keys = [name_key(each.path) for each in wanted]
+    paths = [each.path for each in wanted]
     contents = [content for each in wanted if (content := content_of(each))]
     known = Known(
+        person_id=actor.person_id,
         files=await queries.live_files(db, mission_id, keys),
         uploads=await queries.active_uploads(db, mission_id, keys),
         twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
         twins=await queries.twins(db, actor, contents) if contents else {},
-        conflicts=await queries.path_conflicts(db, mission_id, [each.path for each in wanted]),
+        conflicts=await queries.path_conflicts(db, mission_id, paths),
     )
-    seen: dict[str, str] = {}
-    decisions = []
-    for each, key in zip(wanted, keys, strict=True):
-        if key in seen:
-            error = PathConflict(path=each.path, other=seen[key])
-            decisions.append(Decision(each, Way.refuse, error=error))
-        else:
-            decisions.append(decide(each, known))
-        seen[key] = each.path
-    return decisions
+    crowded = first_come(paths)
+    return [
+        Decision(each, Way.refuse, error=PathConflict(path=each.path, other=crowded[place]))
+        if place in crowded
+        else decide(each, known)
+        for place, each in enumerate(wanted)
+    ]
 
 
 async def _hold_names(
@@ -188,6 +201,8 @@ async def _link_twins(
         index_elements=["mission_id", "path_key"],
         index_where=file.c.deleted_at.is_(None),
         set_={"blob_id": statement.excluded.blob_id},
+        # Only what nobody can read any more gives way; the lock on the mission keeps others out meanwhile.
+        where=file.c.blob_id.in_(select(blob.c.id).where(blob.c.state.in_(UNREADABLE))),
     )
     made = {row.path: row.id for row in await db.execute(statement.returning(file.c.path, file.c.id))}
     mission = await missions.get_mission_row(db, actor, mission_id)
@@ -219,12 +234,16 @@ async def _open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID
                     return row.id, row.multipart_id, held
             return row.id, await site.storage.begin_multipart(row.key), []
 
-    opened = await asyncio.gather(*(open_one(row) for row in rows))
+    answers = await asyncio.gather(*(open_one(row) for row in rows), return_exceptions=True)
+    opened = [answer for answer in answers if not isinstance(answer, BaseException)]
     fresh = {row.id: row.multipart_id for row in rows}
     async with site.database.begin() as db:
         for upload_id, multipart_id, _ in opened:
             if fresh[upload_id] != multipart_id:
                 await db.execute(update(upload).where(upload.c.id == upload_id).values(multipart_id=multipart_id))
+    for answer in answers:
+        if isinstance(answer, BaseException):
+            raise answer
     return {upload_id: held for upload_id, _, held in opened}
 
 
@@ -253,13 +272,12 @@ def _answer(
 ) -> UploadDecision:
     if decision.error is not None:
         return Refused(path=decision.wanted.path, problem=to_problem(decision.error, request_id))
-    if decision.way is Way.hash_first or decision.ref is None:
+    if decision.way in {Way.begin, Way.resume} and decision.ref is not None:
+        return Send(upload=read_upload(rows[decision.ref], parts.get(decision.ref, [])))
+    read = reads.get(decision.ref) if decision.ref else None
+    if read is None:  # also where the file was deleted since: then the answer to asking again is another one
         return HashFirst(path=decision.wanted.path)
-    if decision.way is Way.present:
-        return Present(file=reads[decision.ref])
-    if decision.way is Way.link:
-        return Linked(file=reads[decision.ref])
-    return Send(upload=read_upload(rows[decision.ref], parts.get(decision.ref, [])))
+    return Present(file=read) if decision.way is Way.present else Linked(file=read)
 
 
 async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) -> list[SignedPart]:
@@ -290,6 +308,12 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
 def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
     if row is None or row.state != UploadState.open.value or row.is_expired:
         raise UploadGone(upload_id=str(part.upload_id))
+    if is_multipart(row) and row.multipart_id is None:  # the server died before the store's answer was written down
+        raise UploadGone(upload_id=str(part.upload_id))
+    digits = CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
+    if len(part.checksum) != digits:
+        message = f"{row.path!r} is proven by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
+        raise InvalidRequest(problems=[FieldProblem(field="parts.checksum", message=message)])
     if not is_multipart(row) and row.signed_checksum not in {None, part.checksum}:
         raise UploadGone(upload_id=str(part.upload_id))
     count = max(1, -(-row.size_bytes // row.part_size_bytes))

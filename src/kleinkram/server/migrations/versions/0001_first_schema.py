@@ -23,7 +23,7 @@ def upgrade() -> None:
         "store_probe",
         sa.Column("store_id", sa.Text(), nullable=False),
         sa.Column("checksum", sa.Text(), nullable=False),
-        sa.Column("detail", sa.Text(), nullable=False),
+        sa.Column("writes_once", sa.Boolean(), nullable=False),
         sa.Column("probed_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.CheckConstraint("checksum IN ('crc64nvme', 'sha256', 'md5')", name=op.f("ck_store_probe_checksum")),
         sa.PrimaryKeyConstraint("store_id", name=op.f("pk_store_probe")),
@@ -264,6 +264,9 @@ def upgrade() -> None:
     )
     op.create_index(op.f("ix_file_blob_id"), "file", ["blob_id"], unique=False)
     op.create_index("ix_file_created_at", "file", ["created_at", "id"], unique=False)
+    op.create_index(
+        "ix_file_deleted_at", "file", ["deleted_at"], unique=False, postgresql_where=sa.text("deleted_at IS NOT NULL")
+    )
     op.create_index("ix_file_labels", "file", ["labels"], unique=False, postgresql_using="gin")
     op.create_index("ix_file_path", "file", ["mission_id", "path", "id"], unique=False)
     op.create_index(op.f("ix_file_recording_id"), "file", ["recording_id"], unique=False)
@@ -321,6 +324,10 @@ def upgrade() -> None:
         postgresql_where=sa.text("state IN ('open', 'completing')"),
     )
     op.create_index(
+        "ix_upload_file_id", "upload", ["file_id"], unique=False, postgresql_where=sa.text("file_id IS NOT NULL")
+    )
+    op.create_index("ix_upload_mission_id", "upload", ["mission_id"], unique=False)
+    op.create_index(
         "ix_upload_uncleaned", "upload", ["created_at"], unique=False, postgresql_where=sa.text("cleaned_at IS NULL")
     )
     op.create_index(
@@ -338,6 +345,11 @@ def _create_queue() -> None:
     # The pinned minor version's schema; a newer procrastinate comes with a migration of its own.
     cursor = op.get_bind().connection.cursor()
     cursor.execute(SchemaManager.get_schema())
+    # Ours on their table: asked under the lock on a mission, so it has to be quick.
+    op.execute(
+        "CREATE INDEX ix_procrastinate_jobs_ref ON procrastinate_jobs (task_name, (args ->> 'ref'))"
+        " WHERE status IN ('todo', 'doing')"
+    )
 
 
 def _grant(role: str) -> None:

@@ -1,0 +1,65 @@
+"""A worker that dies in the middle of a job: the job is done all the same, and the periodic ones go on."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from kleinkram.server.settings import Settings
+from tests.integration.running import Api
+from tests.integration.uploading import upload, wait_until
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: Any) -> Api:
+    # One second for each of four pieces: long enough to die in the middle of proving.
+    api: Api = start_api(proving_bytes_per_s=1_048_576)
+    return api
+
+
+@contextmanager
+def _worker(settings: Settings, **changes: str) -> Iterator["subprocess.Popen[bytes]"]:
+    environment = {
+        "PATH": os.environ["PATH"],
+        "KLEINKRAM_DATABASE_URL": str(settings.database_url),
+        "KLEINKRAM_S3_INTERNAL_URL": settings.s3_internal_url,
+        "KLEINKRAM_S3_BUCKET": settings.s3_bucket,
+        "KLEINKRAM_S3_ACCESS_KEY": settings.s3_access_key,
+        "KLEINKRAM_S3_SECRET_KEY": settings.s3_secret_key.get_secret_value(),
+        **changes,
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "kleinkram.server", "worker"], env=environment, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        assert process.wait(30) in {0, -signal.SIGKILL, -signal.SIGTERM}
+
+
+def test_a_job_whose_worker_died_is_done_by_the_next(api: Api) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    file = upload(api, mission_id, "run.bin", os.urandom(4 << 20))
+    settings: Settings = api.app.state.settings
+    doing = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'doing'"
+    with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1048576") as worker:
+        wait_until(lambda: api.sql(doing) == [(1,)])
+        worker.kill()
+        worker.wait(10)
+    # As if a periodic job had died too, with its next round queued already: that one must not stop the rescue.
+    api.sql(
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, lock, queueing_lock, args, status)"
+        " VALUES ('default', 'sweep', 'sweep', 'sweep', '{\"timestamp\": 0}', 'doing')"
+        " ON CONFLICT DO NOTHING"
+    )
+    api.sql("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 hour'")
+    with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1000000000"):
+        wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "proven", limit_s=60)
+        stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'sweep' AND status = 'doing'"
+        wait_until(lambda: api.sql(stuck) == [(0,)])
