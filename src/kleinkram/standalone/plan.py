@@ -1,6 +1,7 @@
 """What `klein up` starts, worked out before anything is started: commands, environments, addresses, secrets."""
 
 import json
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,9 @@ from kleinkram.standalone.store import BUCKET, StoreFolder
 
 SERVER = (sys.executable, "-m", "kleinkram.server")
 DOOR = (sys.executable, "-m", "kleinkram.standalone.door")
+
+# One machine, few users: memory matters more than the last request per second. What the caller has set stands.
+_THRIFT = {"KLEINKRAM_DATABASE_CONNECTIONS": "4", "MALLOC_ARENA_MAX": "2"}
 
 
 @dataclass(frozen=True)
@@ -129,4 +133,5 @@ def _server_environment(plan: Plan) -> dict[str, str]:
         "KLEINKRAM_PUBLIC_URL": plan.public_url,
         "KLEINKRAM_OWNER_TOKEN_FILE": str(plan.data_dir.token_file),
         "KLEINKRAM_LOG_FORMAT": "json",
+        **{name: os.environ.get(name, value) for name, value in _THRIFT.items()},
     }
