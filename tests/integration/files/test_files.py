@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.integration.races import racing
 from tests.integration.running import Api
 from tests.integration.sample import Sample
 
@@ -147,13 +148,43 @@ def test_a_deleted_file_is_gone_and_its_path_is_free(api: Api, sample: Sample, m
     assert [event["operation"] for event in api.events(file_id)] == ["file.delete"]
 
 
+def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sample: Sample) -> None:
+    project = api.project()["id"]
+    source, target = sorted((api.mission(project) for _ in range(2)), key=lambda mission: str(mission["id"]))
+    file_id = sample.file(source["id"], "a.mcap")
+    with racing(
+        api, "SELECT 1 FROM mission WHERE id = ANY(%s::uuid[]) FOR UPDATE", [source["id"], target["id"]]
+    ) as send:
+        moved = send(api.patch, f"/files/{file_id}", {"mission_id": target["id"]})
+        deleted = send(api.delete, f"/files/{file_id}")
+    moved.result().ok()
+    deleted.result().ok()
+    deletion, move = api.events(file_id)
+    assert (deletion["operation"], deletion["before"]["mission"]) == ("file.delete", target["name"])
+    assert move["after"] == {"mission": target["name"]}
+    revisions = dict(api.sql("SELECT id::text, files_revision FROM mission WHERE project_id = %s", project))
+    assert revisions == {source["id"]: 1, target["id"]: 2}
+
+
+@pytest.mark.parametrize("noun", ["project", "mission", "file"])
+def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> None:
+    project = api.project()["id"]
+    mission = api.mission(project)["id"]
+    noun_id = {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")}[noun]
+    held, held_id = ("project", project) if noun == "project" else ("mission", mission)
+    with racing(api, f"SELECT 1 FROM {held} WHERE id = %s FOR UPDATE", held_id) as send:
+        both = [send(api.delete, f"/{noun}s/{noun_id}") for _ in range(2)]
+    assert sorted(each.result().status for each in both) == [200, 404]
+    assert [event["operation"] for event in api.events(noun_id)].count(f"{noun}.delete") == 1
+
+
 def test_changing_a_file_takes_few_queries(api: Api, sample: Sample, mission: str) -> None:
     for number in range(20):
         sample.file(mission, f"{number}.mcap")
     file_id = sample.file(mission, "a.mcap")
     with api.statements() as statements:
         api.patch(f"/files/{file_id}", {"path": "b.mcap"}).ok()
-    assert len(statements) <= 9
+    assert len(statements) <= 14
 
 
 def test_topics_of_a_file_come_by_name_in_pages(api: Api, sample: Sample, mission: str) -> None:

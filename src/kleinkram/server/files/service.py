@@ -90,7 +90,7 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
         NameTaken: there is a file of that path.
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
-    old = await _row(db, actor, file_id)
+    old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
     mission_id = changes.mission_id or old.mission_id
     path = changes.path or old.path
     values: dict[str, Any] = {}
@@ -114,7 +114,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await _row(db, actor, file_id)
+    row = await (_row if dry_run else _locked_row)(db, actor, file_id)
     if not dry_run:
         await regroup(db, row.mission_id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
@@ -202,12 +202,24 @@ async def _row(db: Connection, actor: Actor, file_id: uuid.UUID) -> Row[Any]:
     return (await _rows(db, actor, [file_id]))[0]
 
 
+async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: uuid.UUID) -> Row[Any]:
+    """Return a file as it stays until the transaction ends: its mission is locked, and the missions `also` with it."""
+    row = await _row(db, actor, file_id)
+    while True:
+        held = {row.mission_id, *also}
+        await missions.lock_missions(db, held)
+        row = await _row(db, actor, file_id)
+        if row.mission_id in held:
+            return row
+        # Moved while it was waited for. What is held already is held out of order now; should that meet another who
+        # does the same the other way round, the database ends one of the two, who is told to try again.
+
+
 async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id: uuid.UUID, path: str) -> None:
-    # Both missions are locked (by id, so that two moves never wait for each other) before anything is looked at.
-    for each in sorted({old.mission_id, mission_id}):
-        await regroup(db, each)
     await missions.get_mission_row(db, actor, mission_id)
     await check_path_free(db, mission_id, path, except_id=old.id)
+    for each in sorted({old.mission_id, mission_id}):
+        await regroup(db, each)
 
 
 def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:

@@ -1,6 +1,7 @@
 """What is asked of missions. Functions return selects; they touch no connection."""
 
 import uuid
+from collections.abc import Collection
 from typing import Any
 
 from sqlalchemy import (
@@ -96,9 +97,17 @@ def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     return mission_rows(visible_missions(actor).where(mission.c.id == mission_id))
 
 
-def lock_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the select that holds others off changing a mission."""
-    return select(mission.c.id).where(mission.c.id == mission_id).with_for_update(key_share=True)
+def hold_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the select that keeps the projects of some missions from being deleted, restored or dropped."""
+    holding = select(mission.c.project_id).where(mission.c.id.in_(mission_ids))
+    found = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
+    return found.with_for_update(read=True, key_share=True)
+
+
+def lock_missions(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the select that holds others off changing missions and what they hold."""
+    found = select(mission.c.id).where(mission.c.id.in_(mission_ids)).order_by(mission.c.id)
+    return found.with_for_update(key_share=True)
 
 
 def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:

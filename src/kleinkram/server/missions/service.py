@@ -1,7 +1,12 @@
-"""What may be done with missions. A mission comes to be only with metadata that satisfies its project."""
+"""What may be done with missions. A mission comes to be only with metadata that satisfies its project.
+
+The order of locks, everywhere: project, mission, upload, blob, file; rows of one table by id. Whoever changes what a
+mission holds begins with `lock_mission`, and only then reads what the change depends on.
+"""
 
 import asyncio
 import uuid
+from collections.abc import Collection
 from typing import Any
 
 from sqlalchemy import Row, Update, func, insert
@@ -31,6 +36,21 @@ from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 
 _JUDGED_AT_ONCE = 500
+
+
+async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
+    """Do as `lock_missions` for one, and say whether there is such a mission."""
+    return mission_id in await lock_missions(db, [mission_id])
+
+
+async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> set[uuid.UUID]:
+    """Hold others off changing missions, their uploads and files, until this transaction ends; return those there are.
+
+    Their projects are kept from being deleted, restored or dropped meanwhile. Says nothing of who may see them, nor
+    whether they are in the trash: that is read afterwards, by a statement of its own, and then stays true.
+    """
+    await db.execute(queries.hold_projects_of(mission_ids))
+    return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
 
 
 async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Row[Any]:
@@ -118,7 +138,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     if document is not None or changes.project_id is not None:
         # Project before mission, as where a project's fields change, so that the two never wait for each other.
         await _project(db, actor, changes.project_id or row.project_id)
-    await db.execute(queries.lock_mission(mission_id))
+    await lock_mission(db, mission_id)
     old = await get_mission(db, actor, mission_id)
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
     if not values:
@@ -137,6 +157,8 @@ async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     Raises:
         NotFound: it is not there, or not for this actor.
     """
+    if not dry_run:
+        await lock_mission(db, mission_id)
     row = await get_mission_row(db, actor, mission_id)
     files, size_bytes = (await db.execute(queries.contents(actor, mission_id))).one()
     if not dry_run:

@@ -107,6 +107,8 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     Raises:
         NotFound: it is not there, or not for this actor.
     """
+    if not dry_run:
+        await db.execute(queries.lock_project(actor, project_id))
     seen = await get_project(db, actor, project_id)
     if not dry_run:
         await db.execute(queries.change_project(project_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
