@@ -1,0 +1,90 @@
+"""Another machine, made of a network namespace on this one: its own loopback, its own routes, one cable to us."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.acceptance.conftest import Terminal
+from tests.system.house import House, environment
+
+
+@dataclass(frozen=True)
+class OtherMachine:
+    """A machine that reaches this one at `our_address`, and nothing else."""
+
+    name: str
+    our_address: str
+
+    def terminal(self, home: Path, **more: str) -> Terminal:
+        """A person at that machine, who has never used Kleinkram."""
+        return _RemoteTerminal(home, environment(home, **more), tuple(self.command()))
+
+    def command(self, *arguments: str) -> list[str]:
+        """The command line that runs a program over there."""
+        return ["ip", "netns", "exec", self.name, *arguments]
+
+
+@dataclass(frozen=True)
+class _RemoteTerminal(Terminal):
+    prefix: tuple[str, ...] = ()
+
+    def command(self, *arguments: object) -> list[str]:
+        return [*self.prefix, *super().command(*arguments)]
+
+
+@pytest.fixture(scope="session")
+def other_machine() -> Iterator[OtherMachine]:
+    """The other machine; skipped, or failed where all is required, where this one cannot make it."""
+    _require_ip()
+    number = os.getpid() % 16_384
+    ours, theirs = (f"10.231.{number // 64}.{number % 64 * 4 + host}" for host in (1, 2))
+    machine = OtherMachine(f"klein-{os.getpid()}", ours)
+    cable, far_end = f"kl{os.getpid()}a", f"kl{os.getpid()}b"
+    try:
+        _ip("netns", "add", machine.name)
+        _ip("link", "add", cable, "type", "veth", "peer", "name", far_end, "netns", machine.name)
+        _ip("address", "add", f"{ours}/30", "dev", cable)
+        _ip("link", "set", cable, "up")
+        for words in (f"address add {theirs}/30 dev {far_end}", f"link set {far_end} up", "link set lo up"):
+            _ip("-netns", machine.name, *words.split())
+        yield machine
+    finally:
+        subprocess.run(["ip", "netns", "delete", machine.name], check=False, capture_output=True)  # the cable goes too
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Iterator[House]:
+    """A Kleinkram that is not started yet; ended after the test."""
+    house = House(tmp_path)
+    yield house
+    house.end()
+
+
+def _require_ip() -> None:
+    if os.geteuid() != 0:
+        _missing("a second machine is made of a network namespace, which only root may make")
+    if shutil.which("ip") is None and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
+        subprocess.run(["apt-get", "install", "-y", "iproute2"], check=True, capture_output=True)
+    if shutil.which("ip") is None:
+        _missing("`ip` is not installed (Debian: iproute2): KLEINKRAM_TEST_INSTALL=1 installs it")
+    trial = f"klein-trial-{os.getpid()}"
+    allowed = subprocess.run(["ip", "netns", "add", trial], check=False, capture_output=True, text=True)
+    if allowed.returncode != 0:
+        _missing(f"network namespaces are not allowed here: {allowed.stderr.strip()}")
+    _ip("netns", "delete", trial)
+
+
+def _missing(what: str) -> None:
+    if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
+        pytest.fail(what)
+    pytest.skip(what)
+
+
+def _ip(*arguments: str) -> None:
+    done = subprocess.run(["ip", *arguments], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, f"ip {' '.join(arguments)}: {done.stderr}"

@@ -1,0 +1,117 @@
+"""`klein up --listen 0.0.0.0`: another machine uploads, downloads and verifies, and reaches nothing else."""
+
+import datetime
+import filecmp
+import ipaddress
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from kleinkram.standalone.procs import marked_processes
+from tests.acceptance.conftest import Terminal
+from tests.system.conftest import OtherMachine
+from tests.system.house import House
+
+pytestmark = pytest.mark.slow
+
+_MIB = 1024 * 1024
+# Tries to connect to every port it is given, and prints those that let it.
+_KNOCK = """
+import json, socket, sys
+def opens(port):
+    try:
+        socket.create_connection((sys.argv[1], port), timeout=5).close()
+    except OSError:
+        return False
+    return True
+print(json.dumps([port for port in map(int, sys.argv[2:]) if opens(port)]))
+"""
+
+
+def test_over_plain_http(house: House, other_machine: OtherMachine, tmp_path: Path) -> None:
+    _listen(house, other_machine, "http")
+    house.start()
+    _tell_the_story(house, other_machine.terminal(_folder(tmp_path / "robot")))
+    assert _ports_that_open(house, other_machine) == {house.port, house.s3_port}
+
+
+def test_over_tls_with_a_certificate_of_our_own(house: House, other_machine: OtherMachine, tmp_path: Path) -> None:
+    certificate, key = _certificate(tmp_path, other_machine.our_address)
+    _listen(house, other_machine, "https")
+    house.options += ["--tls-cert", str(certificate), "--tls-key", str(key)]
+    house.start()
+    url = house.told()["url"]
+    stranger = other_machine.terminal(_folder(tmp_path / "stranger"), KLEINKRAM_URL=url, KLEINKRAM_TOKEN="klein_x")
+    assert "certificate" in stranger.run("project", "list", code=None).err.lower()
+    # The way that OpenSSL gives every program; the client has no setting of its own.
+    _tell_the_story(house, other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate)))
+    assert _ports_that_open(house, other_machine) == {house.port, house.s3_port}
+
+
+def _listen(house: House, machine: OtherMachine, scheme: str) -> None:
+    house.options += ["--listen", "0.0.0.0", "--public-url", f"{scheme}://{machine.our_address}:{house.port}"]
+
+
+def _tell_the_story(house: House, robot: Terminal) -> None:
+    source, back = _folder(robot.home / "day"), robot.home / "back"
+    sizes = {"large.bin": 20 * _MIB + 7, "small.bin": 1000, "empty.bin": 0}
+    for name, size in sizes.items():
+        (source / name).write_bytes(os.urandom(size))
+        os.utime(source / name, (1_700_000_000, 1_700_000_000))
+    robot.run("endpoint", "add", "lab", house.told()["url"], stdin=(house.data_dir / "owner-token").read_text())
+    robot.run("project", "create", "alpine")
+    mission = ["-p", "alpine", "-m", "day"]
+    robot.run("upload", *mission, "--create", source)
+    robot.run("verify", *mission, source)
+    robot.run("verify", *mission, "--remote")
+    robot.run("download", *mission, "--dest", back)
+    for name in sizes:
+        (copy,) = back.rglob(name)
+        assert filecmp.cmp(source / name, copy, shallow=False)
+
+
+def _ports_that_open(house: House, machine: OtherMachine) -> set[int]:
+    """Of all ports that any part listens on, those that let the other machine in."""
+    connections = [it for pid in marked_processes(house.data_dir) for it in psutil.Process(pid).net_connections("tcp")]
+    ports = {it.laddr.port for it in connections if it.status == psutil.CONN_LISTEN}
+    assert {*house.told()["ports"].values()} - ports <= {house.told()["ports"]["s3_tls"], house.told()["ports"]["s3"]}
+    knock = [sys.executable, "-c", _KNOCK, machine.our_address, *map(str, sorted(ports))]
+    done = subprocess.run(machine.command(*knock), check=True, capture_output=True, text=True)
+    return set(json.loads(done.stdout))
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir()
+    return path
+
+
+def _certificate(folder: Path, address: str) -> tuple[Path, Path]:
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
+    now = datetime.datetime.now(datetime.timezone.utc)
+    signed = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(hours=1))
+        .not_valid_after(now + datetime.timedelta(hours=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    certificate, private = folder / "cert.pem", folder / "key.pem"
+    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    private.write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return certificate, private
