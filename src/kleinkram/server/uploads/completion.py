@@ -212,7 +212,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     rows = [row for row in rows if row.id in still]
     existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])
     paths = [row.path for row in rows]
-    conflicts = await queries.path_conflicts(db, mission_id, paths)
+    conflicts = await files.path_conflicts(db, mission_id, paths)
     conflicts |= {paths[place]: other for place, other in first_come(paths).items()}
     failures: Failures = {}
     made: dict[uuid.UUID, uuid.UUID] = {}

@@ -2,14 +2,11 @@
 
 import uuid
 from collections.abc import Collection
-from pathlib import PurePosixPath
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, Text, func, select, true, tuple_
-from sqlalchemy.dialects.postgresql import array
+from sqlalchemy import ColumnElement, Row, Select, func, select, tuple_
 
 from kleinkram.contract.files import BlobState
-from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
@@ -86,40 +83,6 @@ async def locked_uploads(db: Connection, actor: Actor, upload_ids: Collection[uu
         .with_for_update(of=upload)
     )
     return {row.id: row for row in await db.execute(statement)}
-
-
-async def path_conflicts(db: Connection, mission_id: uuid.UUID, paths: Collection[str]) -> dict[str, str]:
-    """Return, of `paths`, those that need a folder where the mission has a file or the reverse, with what they meet."""
-    found: dict[str, str] = {}
-    folders = {path: [name_key(str(parent)) for parent in PurePosixPath(path).parents if parent.name] for path in paths}
-    wanted = {key for keys in folders.values() for key in keys}
-    statement = select(file.c.path_key, file.c.path).where(
-        file.c.mission_id == mission_id, file.c.deleted_at.is_(None), file.c.path_key.in_(wanted)
-    )
-    blocking = {row.path_key: row.path for row in await db.execute(statement)} if wanted else {}
-    for path, keys in folders.items():
-        if met := next((blocking[key] for key in keys if key in blocking), None):
-            found[path] = met
-    return found | await _files_below(db, mission_id, paths)
-
-
-async def _files_below(db: Connection, mission_id: uuid.UUID, paths: Collection[str]) -> dict[str, str]:
-    by_key = {name_key(path): path for path in paths}
-    key = func.unnest(array(list(by_key), type_=Text)).column_valued("key")
-    below = (
-        select(file.c.path)
-        .where(
-            file.c.mission_id == mission_id,
-            file.c.deleted_at.is_(None),
-            # '0' is the character after '/': a range that the index on path_key serves.
-            file.c.path_key > key + "/",
-            file.c.path_key < key + "0",
-        )
-        .limit(1)
-        .lateral("below")
-    )
-    rows = await db.execute(select(key, below.c.path).join(below, true()))
-    return {by_key[row[0]]: row.path for row in rows}
 
 
 async def lock_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> bool:

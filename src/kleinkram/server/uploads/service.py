@@ -113,7 +113,7 @@ async def _decide_all(
         uploads=await queries.active_uploads(db, mission_id, keys),
         twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
         twins=await queries.twins(db, actor, contents) if contents else {},
-        conflicts=await queries.path_conflicts(db, mission_id, paths),
+        conflicts=await files.path_conflicts(db, mission_id, paths),
     )
     crowded = first_come(paths)
     return [
