@@ -1,10 +1,14 @@
-"""Emptying the trash: the rows of what was deleted long enough ago. Objects follow by the sweep, never from here."""
+"""Emptying the trash: the rows of what was deleted long enough ago. Objects follow by the sweep, never from here.
+
+Whatever is dropped is locked first, with what holds it, and by that seen to be still due: nobody restores it meanwhile.
+What somebody else holds is passed over until the next round; the sweep never waits for a person, nor a person long.
+"""
 
 import datetime
-import uuid
-from collections.abc import Collection
+from collections.abc import Sequence
+from typing import Any
 
-from sqlalchemy import Select, delete, func, select, update
+from sqlalchemy import ColumnElement, Row, Select, Table, delete, exists, func, select, update
 
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.audit.service import Event, record_all
@@ -13,54 +17,52 @@ from kleinkram.server.tables import file, mission, project, upload
 
 
 async def empty_trash(db: Connection, *, older_than_days: int, limit: int) -> None:
-    """Drop at most `limit` files, missions and projects each that have been in the trash for so many days.
+    """Drop at most `limit` uploads, files, missions and projects each, of what has been in the trash for so many days.
 
     A mission goes when its files and uploads are gone, a project when its missions are; what is left waits for the
     next round, so one round is never long.
     """
     before = func.now() - datetime.timedelta(days=older_than_days)
-    await _end_uploads(db, before_missions=_expired_missions(before))
-    files = select(file.c.id, file.c.path).where(
-        (file.c.deleted_at < before) | file.c.mission_id.in_(_expired_missions(before))
+    in_due_mission = (mission.c.deleted_at < before) | (project.c.deleted_at < before)
+    await _drop_uploads(db, in_due_mission, limit)
+    files = select(file.c.id, file.c.path.label("name"), mission.c.project_id).join_from(file, mission).join(project)
+    # A file deleted by itself may lie in a mission where people are at work: then only the file is held.
+    await _drop(db, file, await _locked(db, files.where(file.c.deleted_at < before), limit, file))
+    await _drop(db, file, await _locked(db, files.where(in_due_mission), limit, file, mission, project))
+    missions = select(mission.c.id, mission.c.name, mission.c.project_id).join_from(mission, project)
+    empty = ~(_any(file.c.mission_id == mission.c.id) | _any(upload.c.mission_id == mission.c.id))
+    rows = await _locked(db, missions.where(in_due_mission, empty), limit, mission, project)
+    await _drop(db, mission, rows, empty)
+    projects = select(project.c.id, project.c.name, project.c.id.label("project_id"))
+    empty = ~_any(mission.c.project_id == project.c.id)
+    await _drop(
+        db, project, await _locked(db, projects.where(project.c.deleted_at < before, empty), limit, project), empty
     )
-    rows = (await db.execute(files.limit(limit).with_for_update(skip_locked=True))).all()
-    await db.execute(delete(file).where(file.c.id.in_([row.id for row in rows])))
-    await _record(db, "file", {row.id: row.path for row in rows})
-    await _drop_missions(db, _expired_missions(before), limit)
-    await _drop_projects(db, before, limit)
 
 
-def _expired_missions(before: object) -> Select[tuple[uuid.UUID]]:
-    gone_with_project = select(project.c.id).where(project.c.deleted_at < before)
-    return select(mission.c.id).where((mission.c.deleted_at < before) | mission.c.project_id.in_(gone_with_project))
+async def _drop_uploads(db: Connection, in_due_mission: ColumnElement[bool], limit: int) -> None:
+    """End uploads of missions that go, and drop those that left nothing at the store any more."""
+    uploads = select(upload.c.id).join_from(upload, mission).join(project).where(in_due_mission)
+    still_open = uploads.where(upload.c.state == UploadState.open.value)
+    ids = [row.id for row in await _locked(db, still_open, limit, upload, mission, project)]
+    await db.execute(update(upload).where(upload.c.id.in_(ids)).values(state=UploadState.expired.value))
+    cleaned = uploads.where(upload.c.cleaned_at.is_not(None))
+    ids = [row.id for row in await _locked(db, cleaned, limit, upload, mission, project)]
+    await db.execute(delete(upload).where(upload.c.id.in_(ids)))
 
 
-async def _end_uploads(db: Connection, *, before_missions: Select[tuple[uuid.UUID]]) -> None:
-    open_ones = upload.c.mission_id.in_(before_missions) & (upload.c.state == UploadState.open.value)
-    await db.execute(update(upload).where(open_ones).values(state=UploadState.expired.value))
-    cleaned = upload.c.mission_id.in_(before_missions) & upload.c.cleaned_at.is_not(None)
-    await db.execute(delete(upload).where(cleaned))
+def _any(condition: ColumnElement[bool]) -> ColumnElement[bool]:
+    return exists().where(condition)
 
 
-async def _drop_missions(db: Connection, expired: Select[tuple[uuid.UUID]], limit: int) -> None:
-    held = (
-        select(file.c.id).where(file.c.mission_id == mission.c.id).exists()
-        | select(upload.c.id).where(upload.c.mission_id == mission.c.id).exists()
-    )
-    statement = select(mission.c.id, mission.c.name).where(mission.c.id.in_(expired), ~held).limit(limit)
-    rows = (await db.execute(statement)).all()
-    await db.execute(delete(mission).where(mission.c.id.in_([row.id for row in rows])))
-    await _record(db, "mission", {row.id: row.name for row in rows})
+async def _locked(db: Connection, due: Select[Any], limit: int, *tables: Table) -> Sequence[Row[Any]]:
+    # What is locked is judged again as it is then: a row that was restored since the statement began is left out.
+    return (await db.execute(due.limit(limit).with_for_update(of=tables, key_share=True, skip_locked=True))).all()
 
 
-async def _drop_projects(db: Connection, before: object, limit: int) -> None:
-    held = select(mission.c.id).where(mission.c.project_id == project.c.id).exists()
-    statement = select(project.c.id, project.c.name).where(project.c.deleted_at < before, ~held).limit(limit)
-    rows = (await db.execute(statement)).all()
-    await db.execute(delete(project).where(project.c.id.in_([row.id for row in rows])))
-    await _record(db, "project", {row.id: row.name for row in rows})
-
-
-async def _record(db: Connection, noun: str, swept: dict[uuid.UUID, str]) -> None:
-    events: Collection[Event] = [Event(f"{noun}.sweep", noun, each, name, None) for each, name in swept.items()]
-    await record_all(db, None, list(events))
+async def _drop(db: Connection, table: Table, rows: Sequence[Row[Any]], *still: ColumnElement[bool]) -> None:
+    statement = delete(table).where(table.c.id.in_([row.id for row in rows]), *still).returning(table.c.id)
+    gone = set((await db.execute(statement)).scalars())
+    noun = table.name
+    events = [Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id) for row in rows if row.id in gone]
+    await record_all(db, None, events)

@@ -4,7 +4,7 @@ import datetime
 import uuid
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, func, literal, select, union_all
+from sqlalchemy import ColumnElement, Row, Select, Table, func, literal, select, union_all
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.trash import TrashNoun, TrashRead
@@ -33,10 +33,16 @@ def _sized(sizes: Select[Any]) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
     return sizes.scalar_subquery().label("size_bytes"), counts.scalar_subquery().label("file_count")
 
 
-def _arms(actor: Actor) -> dict[TrashNoun, Select[Any]]:
-    def rows(stmt: Select[Any], noun: TrashNoun, table: Any, *columns: ColumnElement[Any]) -> Select[Any]:
+def _restorable(table: Table, trash_days: int) -> ColumnElement[bool]:
+    # What is due to be swept may be half gone already: it is out of reach from that moment, whenever the sweep comes.
+    return table.c.deleted_at > func.now() - datetime.timedelta(days=trash_days)
+
+
+def _arms(actor: Actor, trash_days: int) -> dict[TrashNoun, Select[Any]]:
+    def rows(stmt: Select[Any], noun: TrashNoun, table: Table, *columns: ColumnElement[Any]) -> Select[Any]:
         own = (literal(noun.value).label("noun"), table.c.id, table.c.deleted_at, table.c.deleted_by_id)
-        return stmt.with_only_columns(*own, *columns, maintain_column_froms=True)
+        chosen = stmt.with_only_columns(*own, *columns, maintain_column_froms=True)
+        return chosen.where(_restorable(table, trash_days))
 
     place = project.c.name.concat("/").concat(mission.c.name)
     return {
@@ -68,9 +74,9 @@ def _arms(actor: Actor) -> dict[TrashNoun, Select[Any]]:
     }
 
 
-def in_trash(actor: Actor, *, noun: TrashNoun | None) -> tuple[Select[Any], Order]:
-    """Return what lies in the trash, of one noun or of all, and its order: latest first."""
-    arms = _arms(actor)
+def in_trash(actor: Actor, *, noun: TrashNoun | None, trash_days: int) -> tuple[Select[Any], Order]:
+    """Return what can be had back from the trash, of one noun or of all, and its order: latest first."""
+    arms = _arms(actor, trash_days)
     things = union_all(*(arms.values() if noun is None else [arms[noun]])).subquery("thing")
     named = select(things, person.c.name.label("deleted_by_name"))
     stmt = named.join_from(things, person, person.c.id == things.c.deleted_by_id)
@@ -92,19 +98,21 @@ def to_trash(row: Row[Any], *, kept: datetime.timedelta) -> TrashRead:
     )
 
 
-def trashed_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
-    """Return a project in the trash, locked so that no sweep takes it meanwhile."""
-    return trashed_projects(actor).where(project.c.id == project_id).with_for_update()
+def trashed_project(actor: Actor, project_id: uuid.UUID, *, trash_days: int) -> Select[Any]:
+    """Return a project that can be had back from the trash, locked."""
+    found = trashed_projects(actor).where(project.c.id == project_id, _restorable(project, trash_days))
+    return found.with_for_update()
 
 
-def trashed_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return a mission in the trash, locked, with its project's name and whether that is in the trash too."""
+def trashed_mission(actor: Actor, mission_id: uuid.UUID, *, trash_days: int) -> Select[Any]:
+    """Return a mission that can be had back, with its project's name and whether that is in the trash too."""
     parent = (project.c.name.label("project_name"), project.c.deleted_at.label("project_deleted_at"))
-    return trashed_missions(actor).add_columns(*parent).where(mission.c.id == mission_id).with_for_update()
+    found = trashed_missions(actor).where(mission.c.id == mission_id, _restorable(mission, trash_days))
+    return found.add_columns(*parent)
 
 
-def trashed_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return a file in the trash, locked, with what holds it and whether that is in the trash too."""
+def trashed_file(actor: Actor, file_id: uuid.UUID, *, trash_days: int) -> Select[Any]:
+    """Return a file that can be had back, with what holds it and whether that is in the trash too."""
     parents = (
         mission.c.name.label("mission_name"),
         mission.c.deleted_at.label("mission_deleted_at"),
@@ -112,5 +120,5 @@ def trashed_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
         project.c.name.label("project_name"),
         project.c.deleted_at.label("project_deleted_at"),
     )
-    stmt = trashed_files(actor).add_columns(*parents).where(file.c.id == file_id)
-    return stmt.with_for_update(of=[file, mission, project])
+    found = trashed_files(actor).where(file.c.id == file_id, _restorable(file, trash_days))
+    return found.add_columns(*parents)

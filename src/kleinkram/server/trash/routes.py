@@ -35,6 +35,8 @@ async def list_trash(
 
 
 @router.post("/{noun}/{noun_id}/restore", operation_id="restore_from_trash", status_code=204)
-async def restore_from_trash(noun: TrashNoun, noun_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
+async def restore_from_trash(
+    noun: TrashNoun, noun_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> None:
     """Put a deleted thing back where it was."""
-    await service.restore(db, actor, noun=noun, noun_id=noun_id)
+    await service.restore(db, actor, noun=noun, noun_id=noun_id, trash_days=settings.trash_days)

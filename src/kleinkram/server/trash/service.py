@@ -14,6 +14,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.service import check_path_free
+from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import file, mission, project
@@ -25,22 +26,22 @@ _NAME_RULES = {"uq_project_name_key_live", "uq_mission_name_key_live", "uq_file_
 async def list_trash(
     db: Connection, actor: Actor, *, noun: TrashNoun | None, trash_days: int, page: PageRequest
 ) -> Page[TrashRead]:
-    """Return a page of what was deleted by itself, latest first.
+    """Return a page of what was deleted by itself and can still be had back, latest first.
 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    statement, order = queries.in_trash(actor, noun=noun)
+    statement, order = queries.in_trash(actor, noun=noun, trash_days=trash_days)
     rows = await fetch_page(db, statement, order, page)
     kept = datetime.timedelta(days=trash_days)
     return Page(items=[queries.to_trash(row, kept=kept) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uuid.UUID) -> None:
+async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uuid.UUID, trash_days: int) -> None:
     """Put a deleted thing back where it was, with all that went with it.
 
     Raises:
-        NotFound: it is not in the trash, or what held it is in the trash itself.
+        NotFound: it is not in the trash, was there too long, or what held it is in the trash itself.
         NameTaken: something else has its name by now.
         PathConflict: a file's path is a folder by now, or needs a folder where a file is.
     """
@@ -49,28 +50,34 @@ async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uui
         TrashNoun.mission: _restore_mission,
         TrashNoun.file: _restore_file,
     }
-    await put_back[noun](db, actor, noun_id)
+    await put_back[noun](db, actor, noun_id, trash_days)
 
 
-async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> None:
-    row = await _found(db, queries.trashed_project(actor, project_id), TrashNoun.project, project_id)
+async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, trash_days: int) -> None:
+    found = queries.trashed_project(actor, project_id, trash_days=trash_days)
+    row = await _found(db, found, TrashNoun.project, project_id)
     await _undelete(db, project, row, name=row.name)
     await record(db, actor, Event("project.restore", "project", project_id, row.name, project_id))
 
 
-async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> None:
-    row = await _found(db, queries.trashed_mission(actor, mission_id), TrashNoun.mission, mission_id)
+async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, trash_days: int) -> None:
+    await lock_mission(db, mission_id)
+    found = queries.trashed_mission(actor, mission_id, trash_days=trash_days)
+    row = await _found(db, found, TrashNoun.mission, mission_id)
     _refuse_without_parent("project", row.project_name, row.project_deleted_at)
     await _undelete(db, mission, row, name=row.name)
     await record(db, actor, Event("mission.restore", "mission", mission_id, row.name, row.project_id))
 
 
-async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> None:
-    row = await _found(db, queries.trashed_file(actor, file_id), TrashNoun.file, file_id)
+async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
+    found = queries.trashed_file(actor, file_id, trash_days=trash_days)
+    await lock_mission(db, (await _found(db, found, TrashNoun.file, file_id)).mission_id)
+    # Once more, now that its mission is held; the sweep of single files holds no mission, so the file is locked too.
+    row = await _found(db, found.with_for_update(of=file), TrashNoun.file, file_id)
     _refuse_without_parent("project", row.project_name, row.project_deleted_at)
     _refuse_without_parent("mission", row.mission_name, row.mission_deleted_at)
-    await regroup(db, row.mission_id)
     await check_path_free(db, row.mission_id, row.path)
+    await regroup(db, row.mission_id)
     await _undelete(db, file, row, name=row.path)
     await record(db, actor, Event("file.restore", "file", file_id, row.path, row.project_id))
 
