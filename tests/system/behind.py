@@ -1,0 +1,77 @@
+"""What stands behind a running `klein up`: its database and its store, asked directly."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+import psycopg
+
+from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.db import open_database
+from kleinkram.server.settings import Settings
+from kleinkram.server.site import Site
+from kleinkram.server.storage import open_storage
+from kleinkram.server.uploads.jobs import tend_uploads
+from kleinkram.standalone.data_dir import DataDir, load_secrets
+from kleinkram.standalone.postgres import DATABASE, SERVE
+from tests.system.house import House
+
+T = TypeVar("T")
+# What start-up probes write and delete: a kill between the two leaves one, of a few bytes.
+_PROBES = ("probe/", ".kleinkram-probe")
+
+
+def sql(house: House, statement: str, *values: object) -> list[tuple[Any, ...]]:
+    """Ask its database."""
+    with psycopg.connect(_database_url(house)) as connection:
+        return connection.execute(statement, values).fetchall()  # type: ignore[arg-type]  # statements are constants
+
+
+def tidy(house: House) -> None:
+    """Do at once what the worker's periodic jobs do in time: finish and clean uploads, sweep what nothing refers to."""
+
+    async def all_rounds(site: Site) -> None:
+        await tend_uploads(site, stale_s=0)
+        for _ in range(2):
+            await sweep_once(site)
+
+    _on_site(house, all_rounds)
+
+
+def objects(house: House) -> dict[str, int]:
+    """Return what its store holds for users: sizes in bytes by key."""
+    found = _on_site(house, lambda site: site.storage.sizes(""))
+    return {key: size for key, size in found.items() if not key.startswith(_PROBES)}
+
+
+def open_multiparts(house: House) -> list[tuple[str, str]]:
+    """Return the multipart uploads that its store still keeps parts of."""
+    found = _on_site(house, lambda site: site.storage.open_multiparts(""))
+    return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
+
+
+def _on_site(house: House, work: Callable[[Site], Awaitable[T]]) -> T:
+    secrets = load_secrets(DataDir(house.data_dir))
+    settings = Settings(
+        database_url=_database_url(house),
+        s3_internal_url=house.told()["store_url"],
+        s3_access_key=secrets.s3_access_key,
+        s3_secret_key=secrets.s3_secret_key,
+        sweep_grace_s=0,
+    )
+
+    async def run() -> T:
+        database = open_database(settings)
+        try:
+            async with open_storage(settings) as storage:
+                return await work(Site(database, storage, settings))
+        finally:
+            await database.close()
+
+    return asyncio.run(run())
+
+
+def _database_url(house: House) -> str:
+    password = quote(load_secrets(DataDir(house.data_dir)).postgres_serve)
+    return f"postgresql://{SERVE}:{password}@127.0.0.1:{house.told()['ports']['postgres']}/{DATABASE}"
