@@ -2,10 +2,13 @@
 
 import argparse
 import asyncio
+import os
 from pathlib import Path
 
 from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
+
+_NICENESS = 10
 
 
 def main() -> None:
@@ -46,6 +49,8 @@ def _migrate(settings: Settings) -> None:
 def _work(settings: Settings) -> None:
     from kleinkram.server.jobs.worker import run_worker
 
+    # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
+    os.nice(_NICENESS)
     asyncio.run(run_worker(settings))
 
 

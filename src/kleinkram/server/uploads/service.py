@@ -132,26 +132,29 @@ async def _hold_names(
         await db.execute(update(upload).where(upload.c.id.in_(lapsed)).values(state=UploadState.aborted.value))
     resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
     if resumed:
-        await db.execute(update(upload).where(upload.c.id.in_(resumed)).values(**_renewed(site.settings)))
+        await db.execute(update(upload).where(upload.c.id.in_(resumed)).values(**_renewed(site.settings, func.now())))
     begun = [decision for decision in decisions if decision.way is Way.begin]
     if not begun:
         return decisions
     batch = uuid.uuid4()
-    rows = [_new_upload(site, actor, mission_id, batch, decision.wanted) for decision in begun]
-    statement = upsert(upload).values(rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
-    ids = {row.path: row.id for row in await db.execute(statement)}
+    # The database's clock, asked once: leases are compared with it, and machines' clocks differ.
+    now = (await db.execute(select(func.now()))).scalar_one()
+    rows = [_new_upload(site, actor, mission_id, batch, decision.wanted, now) for decision in begun]
+    statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
+    ids = {row.path: row.id for row in await db.execute(statement, rows)}
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
 
 
-def _renewed(settings: Settings) -> dict[str, Any]:
+def _renewed(settings: Settings, now: Any) -> dict[str, Any]:
+    """Return until when a name is held and an upload kept; `now` is a time, or the database's own."""
     return {
-        "lease_ends_at": func.now() + datetime.timedelta(seconds=settings.upload_lease_s),
-        "expires_at": func.now() + datetime.timedelta(seconds=settings.upload_expires_s),
+        "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
+        "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
     }
 
 
 def _new_upload(
-    site: Site, actor: Actor, mission_id: uuid.UUID, batch: uuid.UUID, wanted: UploadFile
+    site: Site, actor: Actor, mission_id: uuid.UUID, batch: uuid.UUID, wanted: UploadFile, now: datetime.datetime
 ) -> dict[str, Any]:
     upload_id = uuid.uuid4()
     return {
@@ -166,7 +169,7 @@ def _new_upload(
         "store_id": site.settings.store_id,
         # One prefix a request: its small files are then found with one listing.
         "key": f"{batch}/{upload_id}",
-        **_renewed(site.settings),
+        **_renewed(site.settings, now),
     }
 
 
@@ -292,7 +295,7 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
         rows = await queries.locked_uploads(db, actor, ids)
         for part in wanted:
             _check_signable(rows.get(part.upload_id), part)
-        await db.execute(update(upload).where(upload.c.id.in_(ids)).values(**_renewed(site.settings)))
+        await db.execute(update(upload).where(upload.c.id.in_(ids)).values(**_renewed(site.settings, func.now())))
         whole = [
             {"b_id": part.upload_id, "b_checksum": part.checksum}
             for part in wanted
