@@ -9,12 +9,17 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import psycopg
+from sqlalchemy import make_url
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.settings import Settings, async_dsn
 
+# Above any statement of the API on a large database; a worker may need longer.
+STATEMENT_TIMEOUT_S = 30
+_POOL_TIMEOUT_S = 20
 # What a service takes first: an open transaction it must not end.
 Connection = AsyncConnection
 
@@ -30,11 +35,14 @@ class Database:
         """Run a transaction: commit at the end, roll back on any error.
 
         Raises:
-            DatabaseUnavailable: no connection could be had, or it broke.
+            DatabaseUnavailable: no connection could be had in time, it broke, or the database ended the transaction
+                (deadlock, statement timeout, shutdown): all of it may be tried again.
         """
         try:
             async with self.engine.begin() as connection:
                 yield connection
+        except PoolTimeoutError as error:
+            raise DatabaseUnavailable from error
         except DBAPIError as error:
             if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
                 raise DatabaseUnavailable from error
@@ -45,15 +53,23 @@ class Database:
         await self.engine.dispose()
 
 
-def open_database(settings: Settings) -> Database:
-    """Return a pool that connects when first used, and notices connections that a restart of PostgreSQL broke."""
+def open_database(settings: Settings, *, statement_timeout_s: float | None = STATEMENT_TIMEOUT_S) -> Database:
+    """Return a pool that connects when first used, and notices connections that a restart of PostgreSQL broke.
+
+    A statement that takes longer than `statement_timeout_s` is ended by the database; None leaves that to its settings.
+    """
+    url = make_url(async_dsn(settings.database_url))
+    arguments: dict[str, object] = {"connect_timeout": 5, "application_name": "kleinkram"}
+    if statement_timeout_s is not None:
+        timeout = f"-c statement_timeout={round(statement_timeout_s * 1000)}"
+        arguments["options"] = " ".join([*url.normalized_query.get("options", ()), timeout])
     engine = create_async_engine(
-        async_dsn(settings.database_url),
+        url,
         pool_size=settings.database_connections,
         max_overflow=0,
-        pool_timeout=20,
+        pool_timeout=_POOL_TIMEOUT_S,
         pool_pre_ping=True,
-        connect_args={"connect_timeout": 5, "application_name": "kleinkram"},
+        connect_args=arguments,
     )
     return Database(engine)
 

@@ -1,0 +1,73 @@
+"""What becomes of a transaction that the database does not let through: named, and to be tried again."""
+
+import asyncio
+
+import pytest
+from sqlalchemy import text
+
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.server import db
+from kleinkram.server.db import Database, open_database
+from kleinkram.server.site import Site
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.races import racing
+from tests.integration.running import Api
+
+
+async def _run(database: Database, statement: str) -> str:
+    async with database.begin() as connection:
+        return str((await connection.execute(text(statement))).scalar_one())
+
+
+@pytest.mark.parametrize("state", ["40P01", "40001", "57014", "57P01", "55P03"])
+def test_what_may_be_tried_again_says_so(api: Api, state: str) -> None:
+    async def work(site: Site) -> None:
+        with pytest.raises(DatabaseUnavailable):
+            await _run(site.database, f"DO $$ BEGIN RAISE SQLSTATE '{state}'; END $$")
+
+    on_site(api, work)
+
+
+def test_a_statement_that_takes_too_long_is_ended(api: Api) -> None:
+    async def work(site: Site) -> None:
+        database = open_database(site.settings, statement_timeout_s=0.05)
+        try:
+            with pytest.raises(DatabaseUnavailable):
+                await asyncio.wait_for(_run(database, "SELECT pg_sleep(20)"), 10)
+        finally:
+            await database.close()
+
+    on_site(api, work)
+
+
+@pytest.mark.parametrize(("timeout_s", "shown"), [(30, "30s"), (None, "0")])
+def test_the_limit_of_a_statement_is_the_database_s_own_or_ours(api: Api, timeout_s: float | None, shown: str) -> None:
+    async def work(site: Site) -> str:
+        address = f"{site.settings.database_url}?options=-c%20lock_timeout%3D7s"
+        settings = site.settings.model_copy(update={"database_url": address})
+        database = open_database(settings, statement_timeout_s=timeout_s)
+        try:
+            return await _run(
+                database,
+                "SELECT concat_ws(' ', current_setting(s), current_setting('lock_timeout'))"
+                " FROM (VALUES ('statement_timeout')) v(s)",
+            )
+        finally:
+            await database.close()
+
+    assert on_site(api, work) == f"{shown} 7s"
+
+
+def test_a_request_for_which_no_connection_comes_free_is_told_to_try_again(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(db, "_POOL_TIMEOUT_S", 0.2)
+    api = start_api(database_connections=2)
+    project = api.project()["id"]
+    with racing(api, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", project) as send:
+        waiting = [send(api.patch, f"/projects/{project}", {"description": each}) for each in "ab"]
+        answer = api.get("/projects")
+    answer.refused(503, "database_unavailable")
+    assert answer.headers["retry-after"]
+    assert [each.result().status for each in waiting] == [200, 200]
