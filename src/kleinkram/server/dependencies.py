@@ -40,11 +40,6 @@ def _site(database: CurrentDatabase, storage: CurrentStorage, settings: CurrentS
     return Site(database, storage, settings)
 
 
-async def _transaction(database: CurrentDatabase) -> AsyncIterator[Connection]:
-    async with database.begin() as connection:
-        yield connection
-
-
 async def _actor(
     request: Request,
     database: CurrentDatabase,
@@ -60,6 +55,14 @@ async def _actor(
 
 
 CurrentActor = Annotated[Actor, Depends(_actor)]
+
+
+async def _transaction(database: CurrentDatabase, _known: CurrentActor) -> AsyncIterator[Connection]:
+    # Only once it is known who asks: a request that held one connection while it waits for another could starve all.
+    async with database.begin() as connection:
+        yield connection
+
+
 CurrentSite = Annotated[Site, Depends(_site)]
 # scope="function": committed before the answer leaves, so that nobody reads their own write too early.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]

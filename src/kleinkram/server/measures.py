@@ -1,9 +1,15 @@
 """What `/metrics` shows: counters of this process, and gauges read from the database when asked."""
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
-from sqlalchemy import func, select, text
+from collections import Counter as Tally
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from kleinkram.server.db import Connection
+from prometheus_client import CollectorRegistry, Counter, Histogram, Metric, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+from sqlalchemy import Row, func, select, text
+
+from kleinkram.server.db import Database
 from kleinkram.server.tables import blob, upload
 
 REGISTRY = CollectorRegistry()
@@ -15,13 +21,11 @@ REQUEST_SECONDS = Histogram(
     buckets=(0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10),
     registry=REGISTRY,
 )
-_BLOBS = Gauge("kleinkram_blobs", "Blobs by state.", ["state"], registry=REGISTRY)
-_BYTES = Gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", ["state"], registry=REGISTRY)
-_CONTENT = Gauge("kleinkram_content", "Blobs by what is known of their content.", ["content"], registry=REGISTRY)
-_UPLOADS = Gauge("kleinkram_uploads", "Uploads by state.", ["state"], registry=REGISTRY)
-_JOBS = Gauge("kleinkram_jobs", "Jobs by task and status.", ["task", "status"], registry=REGISTRY)
-_QUEUE_AGE = Gauge("kleinkram_queue_oldest_seconds", "Age of the oldest job that waits.", registry=REGISTRY)
 
+_BLOBS = select(
+    blob.c.state, blob.c.content, func.count().label("number"), func.sum(blob.c.size_bytes).label("size_bytes")
+).group_by(blob.c.state, blob.c.content)
+_UPLOADS = select(upload.c.state, func.count().label("number")).group_by(upload.c.state)
 _JOBS_SQL = text("SELECT task_name, status::text, count(*) FROM procrastinate_jobs GROUP BY 1, 2")
 _QUEUE_AGE_SQL = text(
     "SELECT coalesce(extract(epoch FROM now() - min(e.at)), 0) FROM procrastinate_jobs j"
@@ -30,19 +34,54 @@ _QUEUE_AGE_SQL = text(
 )
 
 
-async def exposition(db: Connection) -> bytes:
-    """Return all measures in the Prometheus text format."""
-    for gauge in (_BLOBS, _BYTES, _CONTENT, _UPLOADS, _JOBS):
-        gauge.clear()
-    by_state = select(blob.c.state, func.count(), func.sum(blob.c.size_bytes)).group_by(blob.c.state)
-    for state, count, size_bytes in await db.execute(by_state):
-        _BLOBS.labels(state).set(count)
-        _BYTES.labels(state).set(int(size_bytes))
-    for content, count in await db.execute(select(blob.c.content, func.count()).group_by(blob.c.content)):
-        _CONTENT.labels(content).set(count)
-    for state, count in await db.execute(select(upload.c.state, func.count()).group_by(upload.c.state)):
-        _UPLOADS.labels(state).set(count)
-    for task, status, count in await db.execute(_JOBS_SQL):
-        _JOBS.labels(task, status).set(count)
-    _QUEUE_AGE.set(float((await db.execute(_QUEUE_AGE_SQL)).scalar_one()))
-    return generate_latest(REGISTRY)
+async def look(database: Database) -> list[Metric]:
+    """Return the gauges as the database has them, by four queries in one transaction."""
+    async with database.begin() as db:
+        blobs = (await db.execute(_BLOBS)).all()
+        uploads = (await db.execute(_UPLOADS)).all()
+        jobs = (await db.execute(_JOBS_SQL)).all()
+        age_s = float((await db.execute(_QUEUE_AGE_SQL)).scalar_one())
+    states, sizes, contents = Tally[str](), Tally[str](), Tally[str]()
+    for row in blobs:
+        states[row.state] += row.number
+        sizes[row.state] += int(row.size_bytes)
+        contents[row.content] += row.number
+    return [
+        _gauge("kleinkram_blobs", "Blobs by state.", "state", states),
+        _gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
+        _gauge("kleinkram_content", "Blobs by what is known of their content.", "content", contents),
+        _gauge("kleinkram_uploads", "Uploads by state.", "state", {row.state: row.number for row in uploads}),
+        _jobs(jobs),
+        GaugeMetricFamily("kleinkram_queue_oldest_seconds", "Age of the oldest job that waits.", value=age_s),
+    ]
+
+
+def exposition(gauges: Sequence[Metric]) -> bytes:
+    """Return this process's counters, and gauges that were looked up, in the Prometheus text format."""
+    found = CollectorRegistry()
+    found.register(_Found(gauges))
+    return generate_latest(REGISTRY) + generate_latest(found)
+
+
+class _Found(Collector):
+    """Gauges of one moment, for a registry of that moment."""
+
+    def __init__(self, gauges: Sequence[Metric]) -> None:
+        self._gauges = gauges
+
+    def collect(self) -> Sequence[Metric]:
+        return self._gauges
+
+
+def _gauge(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, text, labels=[label])
+    for of, value in values.items():
+        family.add_metric([of], value)
+    return family
+
+
+def _jobs(rows: Sequence[Row[Any]]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
+    for task, status, count in rows:
+        family.add_metric([task, status], count)
+    return family

@@ -1,14 +1,18 @@
 """`/health/live`, `/health/ready`, `/metrics` and `/api/v1/service`."""
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 
 import kleinkram
 from kleinkram.contract.people import ServiceRead
 from kleinkram.server import measures
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, CurrentStorage, Transaction
-from kleinkram.server.migrations import at_head
+from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
+from kleinkram.server.health.readiness import missing
+from kleinkram.server.health.recent import Recent
+
+# Probes and scrapes come without a token: whatever their number, they look no more often than this.
+_HOLDS_S = 1
 
 probes = APIRouter(include_in_schema=False)
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -21,18 +25,22 @@ async def live() -> PlainTextResponse:
 
 
 @probes.get("/health/ready")
-async def ready(db: Transaction, storage: CurrentStorage) -> PlainTextResponse:
+async def ready(request: Request, database: CurrentDatabase, storage: CurrentStorage) -> PlainTextResponse:
     """Say whether database, schema and store are all there."""
-    if not await at_head(db):
-        return PlainTextResponse("the database schema is not this version's; run the migrations\n", status_code=503)
-    await storage.check()
-    return PlainTextResponse("ready\n")
+    state = request.app.state
+    if not hasattr(state, "readiness"):
+        state.readiness = Recent(lambda: missing(database, storage), holds_s=_HOLDS_S)
+    reason: str | None = await state.readiness.get()
+    return PlainTextResponse("ready\n") if reason is None else PlainTextResponse(f"{reason}\n", status_code=503)
 
 
 @probes.get("/metrics")
-async def metrics(db: Transaction) -> Response:
+async def metrics(request: Request, database: CurrentDatabase) -> Response:
     """Give this process's measures in the Prometheus text format."""
-    return Response(await measures.exposition(db), media_type=CONTENT_TYPE_LATEST)
+    state = request.app.state
+    if not hasattr(state, "gauges"):
+        state.gauges = Recent(lambda: measures.look(database), holds_s=_HOLDS_S)
+    return Response(measures.exposition(await state.gauges.get()), media_type=CONTENT_TYPE_LATEST)
 
 
 @router.get("/service", operation_id="get_service")

@@ -1,0 +1,71 @@
+"""Readiness and measures: true, and harmless however often they are asked for."""
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
+import urllib3
+
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.uploading import wait_until
+
+_POOL = urllib3.PoolManager(retries=False, timeout=20, maxsize=20)
+
+
+def _ready(api: Api) -> tuple[int, str]:
+    answer = _POOL.request("GET", f"{api.url}/health/ready")
+    return answer.status, answer.data.decode()
+
+
+class _Silent:
+    """A store that takes the question and never answers; it counts the questions."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.gone = False
+
+    async def check(self) -> None:
+        self.asked += 1
+        await asyncio.Event().wait()
+
+
+def test_it_is_ready_when_all_is_there_and_says_what_is_not(start_api: StartApi) -> None:
+    api = start_api()
+    assert _ready(api) == (200, "ready\n")
+    other = start_api()
+    other.sql("UPDATE alembic_version SET version_num = 'other'")
+    status, text = _ready(other)
+    assert (status, "run the migrations" in text) == (503, True)
+
+
+def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi) -> None:
+    api = start_api(database_connections=2)
+    store = _Silent()
+    api.app.state.storage = store
+    with ThreadPoolExecutor(10) as pool:
+        probes = [pool.submit(_ready, api) for _ in range(10)]
+        wait_until(lambda: store.asked > 0)
+        for _ in range(5):
+            api.get("/projects").ok()
+        assert not any(probe.done() for probe in probes)
+        assert {probe.result() for probe in probes} == {(503, "the object store did not answer within 2 seconds\n")}
+    assert store.asked == 1
+
+
+def test_measures_are_whole_whoever_else_reads_them(start_api: StartApi) -> None:
+    api = start_api()
+    with api.statements() as statements, ThreadPoolExecutor(8) as pool:
+        texts = list(pool.map(lambda _: api.metrics(), range(24)))
+    for text in texts:
+        assert text.count("# TYPE kleinkram_queue_oldest_seconds gauge") == 1
+        assert text.count("# TYPE kleinkram_jobs gauge") == 1
+        assert text.count("# TYPE kleinkram_requests_total counter") == 1
+    assert len(statements) % 4 == 0
+    assert len(statements) < 24
+
+
+def test_more_requests_than_connections_wait_for_each_other(start_api: StartApi) -> None:
+    api = start_api(database_connections=2)
+    paths = ["/projects", "/files", "/missions", "/trash", "/audit", "/stats", "/topics"]
+    with ThreadPoolExecutor(12) as pool:
+        assert {answer.status for answer in pool.map(api.get, 4 * paths)} == {200}
