@@ -29,13 +29,13 @@ story: setup
 	@$(BIN)/python examples/demo.py --story
 
 test: setup
-	@$(BIN)/python -m pytest -m "not slow" -q
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q
 
 test-all: setup
 	@$(BIN)/python -m pytest -m slow -q
 
 soak: setup
-	@$(BIN)/python -m pytest -m soak -q -p no:timeout
+	@$(BIN)/python -m pytest -m soak -q --timeout=0
 
 check: setup
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .

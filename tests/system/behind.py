@@ -25,7 +25,7 @@ _PROBES = ("probe/", ".kleinkram-probe")
 def sql(house: House, statement: str, *values: object) -> list[tuple[Any, ...]]:
     """Ask its database."""
     with psycopg.connect(_database_url(house)) as connection:
-        return connection.execute(statement, values).fetchall()  # type: ignore[arg-type]  # statements are constants
+        return connection.execute(statement, values).fetchall()
 
 
 def tidy(house: House) -> None:
