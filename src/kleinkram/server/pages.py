@@ -95,7 +95,7 @@ def _decode(cursor: str, order: Order) -> list[Any]:
     try:
         signature, *values = json.loads(base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)))
         decoded = [_TYPES[value[0]](value[1:]) for value in values]
-    except (ValueError, TypeError, KeyError, IndexError, binascii.Error):
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError, binascii.Error):
         raise InvalidCursor from None
     if signature != order.signature or len(decoded) != len(order.columns):
         raise InvalidCursor

@@ -229,6 +229,12 @@ def test_a_made_up_cursor_is_refused(api: Api, cursor: str) -> None:
     api.get("/projects", {"cursor": cursor}).refused(422, "invalid_cursor")
 
 
+@pytest.mark.parametrize("path", ["/projects", "/missions", "/files", "/topics", "/trash", "/audit"])
+def test_a_cursor_nested_too_deep_is_refused(api: Api, path: str) -> None:
+    cursor = base64.urlsafe_b64encode(b"[" * 20_000).decode()
+    api.get(path, {"cursor": cursor}).refused(422, "invalid_cursor")
+
+
 def test_a_cursor_of_another_list_is_refused(api: Api) -> None:
     tail = uuid.uuid4().hex
     for number in range(2):
