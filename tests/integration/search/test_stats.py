@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram.server.search import service
 from tests.integration.running import Api
 from tests.integration.sample import Sample
 
@@ -104,6 +105,16 @@ def test_a_filter_narrows_what_is_counted(api: Api, project: Any) -> None:
     assert stats["total"] == _row(None, 1, 2, 1, 200, 2, 20)
     query = {"project_id": project["id"], "by": "mission", "where": "robot=spot", "format": "mcap"}
     assert api.get("/stats", query).ok()["total"] == _row(None, 1, 1, 1, 50, 1, 7)
+
+
+def test_more_groups_than_can_be_answered_are_refused(api: Api, project: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    query = {"project_id": project["id"], "by": "topic"}
+    monkeypatch.setattr(service, "MAX_GROUPS", 3)
+    assert len(api.get("/stats", query).ok()["rows"]) == 3
+    monkeypatch.setattr(service, "MAX_GROUPS", 2)
+    problem = api.get("/stats", query).refused(422, "invalid_query")
+    assert (problem["expression"], "narrow the filter" in problem["detail"]) == ("topic", True)
+    assert api.get("/stats", {**query, "topic": "/imu"}).ok()["total"]["files"] == 3
 
 
 def test_of_nothing_there_is_nothing(api: Api) -> None:

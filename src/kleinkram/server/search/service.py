@@ -10,6 +10,9 @@ from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 
+# More rows than anybody reads, and few enough to answer with at once.
+MAX_GROUPS = 10_000
+
 
 async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, page: PageRequest) -> Page[TopicRead]:
     """Return a page of the topics of files that match, by name.
@@ -26,7 +29,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
     """Return statistics of the files that match, grouped by `by`, and in all.
 
     Raises:
-        InvalidQuery: there is no such grouping, or a `where` cannot be used.
+        InvalidQuery: there is no such grouping, it has more than `MAX_GROUPS` groups, or a `where` cannot be used.
     """
     group = queries.group_column(by)
     if group is None:
@@ -34,6 +37,9 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         raise InvalidQuery(expression=by, reason=reason)
     by_topic = by in {"topic", "type"}
     grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
-    rows = [queries.to_stats(row) for row in await db.execute(grouped)]
+    rows = [queries.to_stats(row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]
+    if len(rows) > MAX_GROUPS:
+        reason = f"these files make more than {MAX_GROUPS} groups; narrow the filter, or group by something coarser"
+        raise InvalidQuery(expression=by, reason=reason)
     whole = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=True)
     return StatsRead(by=by, rows=rows, total=queries.to_stats((await db.execute(whole)).one_or_none()))
