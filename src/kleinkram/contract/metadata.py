@@ -10,6 +10,7 @@ from typing_extensions import Self
 
 MAX_YAML_CHARACTERS = 200_000
 
+Choice = Annotated[str, Field(max_length=200)]
 FieldName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 
 
@@ -61,7 +62,7 @@ class MetadataField(BaseModel):
     unit: Annotated[str, Field(max_length=32)] | None = None
     description: Annotated[str, Field(max_length=1000)] = ""
     pattern: Annotated[str, Field(max_length=500)] | None = None
-    choices: Annotated[list[str], Field(min_length=1, max_length=200)] | None = None
+    choices: Annotated[list[Choice], Field(min_length=1, max_length=200)] | None = None
     default: bool | int | float | str | datetime.date | Location | None = None
 
     @model_validator(mode="after")

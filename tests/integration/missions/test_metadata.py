@@ -214,3 +214,24 @@ def test_the_template_leaves_out_what_no_longer_fits_and_keeps_what_was_not_decl
     template = api.get(f"/projects/{project['id']}/template").ok()
     made = api.mission(project["id"], metadata_yaml=template["yaml"])
     assert made["metadata"] == {"on: #1": ["a", {"b": "true"}]}
+
+
+def test_hints_are_few_and_cheap_however_much_is_wrong(api: Api) -> None:
+    project_id = api.project(fields_yaml="undeclared: refuse\nfields:\n  - {name: robot, type: string}\n")["id"]
+    body = {"name": "never", "metadata_yaml": "".join(f"robots{number}: x\n" for number in range(1000))}
+    problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")
+    hinted = [one for one in problem["problems"] if "did you mean 'robot'?" in one["message"]]
+    assert (len(problem["problems"]), len(hinted)) == (1000, 10)
+
+
+def test_many_choices_are_named_in_part_and_one_has_its_length(api: Api) -> None:
+    fields = (
+        f"fields:\n  - {{name: robot, type: choice, choices: [{', '.join(f'spot{n}' for n in range(100, 200))}]}}\n"
+    )
+    project_id = api.project(fields_yaml=fields)["id"]
+    body = {"name": "never", "metadata_yaml": "robot: spt190\n"}
+    (one,) = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")["problems"]
+    assert one["message"].endswith("spot118, spot119 and 80 more; did you mean 'spot190'?")
+    fields = f"fields:\n  - {{name: robot, type: choice, choices: [{'x' * 201}]}}\n"
+    problem = api.patch(f"/projects/{project_id}", {"fields_yaml": fields}).refused(422, "fields_invalid")
+    assert [one["field"] for one in problem["problems"]] == ["robot.choices.0"]

@@ -25,14 +25,35 @@ _WITH_UNIT = re.compile(
 _URL: TypeAdapter[HttpUrl] = TypeAdapter(HttpUrl)
 _KINDS: dict[type, str] = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
 _MAX_INT = 2**63 - 1
+# Looking for what was meant takes cubic time: it is done for the first problems, and where names are of usual size.
+_HINTS, _HINT_CHARACTERS, _HINT_CANDIDATES = 10, 40, 200
+# Problems are kept for every mission that has them: a long list of choices is named in part.
+_LISTED = 20
+
+
+@dataclass(frozen=True)
+class Near:
+    """What was written, and what may have been meant."""
+
+    written: str
+    candidates: tuple[str, ...]
+
+    def hint(self) -> str:
+        """Return the candidate that is closest, as a question; nothing where none is close, or the text is long."""
+        short = [each for each in self.candidates if len(each) <= _HINT_CHARACTERS]
+        if len(self.written) > _HINT_CHARACTERS:
+            return ""
+        found = difflib.get_close_matches(self.written, short[:_HINT_CANDIDATES], n=1)
+        return f"; did you mean {found[0]!r}?" if found else ""
 
 
 class Wrong(ValueError):
     """A value does not fit its field; the text says why. `path` leads to the part of the value that is meant."""
 
-    def __init__(self, message: str, path: Path = ()) -> None:
+    def __init__(self, message: str, path: Path = (), near: Near | None = None) -> None:
         super().__init__(message)
         self.path = path
+        self.near = near
 
 
 @dataclass(frozen=True)
@@ -63,7 +84,7 @@ class Judge:
         metadata: Metadata = {}
         problems: list[FieldProblem] = []
         for key, value in given.items():
-            if problem := self._keep(metadata, key, value, document):
+            if problem := self._keep(metadata, key, value, document, hinting=len(problems) < _HINTS):
                 problems.append(problem)
         problems.sort(key=lambda problem: (problem.line or 0, problem.column or 0))
         self._complete(given, metadata, problems)
@@ -86,14 +107,17 @@ class Judge:
         default: JsonValue = field.model_dump(mode="json", exclude_none=True).get("default")
         return None if default is None else self._accept[field.name](default)
 
-    def _keep(self, metadata: Metadata, key: str, value: JsonValue, document: Document) -> FieldProblem | None:
+    def _keep(
+        self, metadata: Metadata, key: str, value: JsonValue, document: Document, *, hinting: bool
+    ) -> FieldProblem | None:
         try:
             accepted = self._accepted(key, value)
         except Wrong as wrong:
             path = (key, *wrong.path)
             place = document.place(path)
             where = {"line": place.line, "column": place.column} if place else {}
-            return FieldProblem(field=".".join(map(str, path)), message=str(wrong), **where)
+            hint = wrong.near.hint() if wrong.near and hinting else ""
+            return FieldProblem(field=".".join(map(str, path)), message=f"{wrong}{hint}", **where)
         if accepted is not None or key not in self._fields:
             metadata[key] = accepted
         return None
@@ -104,9 +128,7 @@ class Judge:
         if spelled := self._folded.get(key.casefold()):
             raise Wrong(f"is spelled {spelled!r} in this project")
         if self._undeclared is Undeclared.refuse:
-            near = difflib.get_close_matches(key, self._fields, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise Wrong(f"is not a field of this project{hint}")
+            raise Wrong("is not a field of this project", near=Near(key, tuple(self._fields)))
         return _finite(value, ())
 
     def _complete(self, given: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
@@ -237,12 +259,15 @@ def _boolean(value: JsonValue) -> JsonValue:
     return value
 
 
+def _listing(choices: list[str]) -> str:
+    more = len(choices) - _LISTED
+    return ", ".join(choices[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
 def _choice(value: JsonValue, choices: list[str]) -> JsonValue:
-    text = _text(value, f"one of {', '.join(choices)}")
+    text = _text(value, f"one of {_listing(choices)}")
     if text not in choices:
-        near = difflib.get_close_matches(text, choices, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise Wrong(f"is {text!r}, which is none of: {', '.join(choices)}{hint}")
+        raise Wrong(f"is {text!r}, which is none of: {_listing(choices)}", near=Near(text, tuple(choices)))
     return text
 
 
