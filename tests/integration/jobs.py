@@ -6,6 +6,7 @@ from typing import TypeVar
 
 from procrastinate import PsycopgConnector
 
+from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.queue import queue
@@ -28,13 +29,13 @@ def run_jobs(api: Api) -> None:
 async def _drain(site: Site) -> None:
     connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
-        async with app.open_async():
+        async with app.open_async(), Readers() as readers:
             await app.run_worker_async(
                 wait=False,
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
-                additional_context={"site": site},
+                additional_context={"site": site, "readers": readers},
             )
 
 

@@ -1,4 +1,4 @@
-"""The process that reads one untrusted file: a request on stdin, one JSON line on stdout, nothing else.
+"""The process that reads untrusted files: a line of JSON on stdin for each, a line on stdout, nothing else.
 
 It bounds itself before it looks at a byte: address space, processor time, no core file. It is started with an empty
 environment, so that there is no credential in it.
@@ -7,9 +7,11 @@ environment, so that there is no credential in it.
 from __future__ import annotations
 
 import json
+import math
 import resource
 import sys
 import threading
+import time
 
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.serialise import to_dict
@@ -20,22 +22,29 @@ STACK_BYTES = 512 * 1024
 
 
 def main() -> int:
-    """Answer the request; 0 if there is an answer, also where the answer is a failure."""
-    request = json.loads(sys.stdin.buffer.read())
-    _bound(request["memory_bytes"], request["cpu_s"])
-    try:
-        answer: dict[str, object] = {"summary": to_dict(summarise(_open(request)))}
-    except SourceError as error:
-        answer = {"failed": "source", "message": str(error)}
-    except MemoryError:
-        answer = {"failed": "memory"}
-    sys.stdout.write(json.dumps(answer) + "\n")
+    """Answer each request; 0 if each had an answer, also where the answer is a failure."""
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        _bound(request["memory_bytes"], request["cpu_s"])
+        sys.stdout.write(json.dumps(_answer(request)) + "\n")
+        sys.stdout.flush()
     return 0
 
 
+def _answer(request: dict[str, str | int]) -> dict[str, object]:
+    try:
+        return {"summary": to_dict(summarise(_open(request)))}
+    except SourceError as error:
+        return {"failed": "source", "message": str(error)}
+    except MemoryError:
+        return {"failed": "memory"}
+
+
 def _bound(memory_bytes: int, cpu_s: int) -> None:
+    """Bound this request: the whole process's memory, and processor time from here on."""
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + cpu_s, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # The stack of a thread counts as address space from its start.
     threading.stack_size(STACK_BYTES)

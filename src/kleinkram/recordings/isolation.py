@@ -1,7 +1,8 @@
 """Summaries of untrusted files, made in a child process that is bounded in memory and time and holds no credential.
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
-writes `request_bytes(...)` to its stdin, and hands what came back to `read_answer`.
+writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer`; then the
+child takes the next request. Its end, rather than a line, is an answer too.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ SummaryRequest = FileRequest | UrlRequest
 def request_bytes(
     request: SummaryRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
 ) -> bytes:
-    """Return what the child reads from stdin, to its end."""
+    """Return the line that the child reads from stdin, without its newline."""
     fields = {**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}
     return json.dumps(fields).encode()
 

@@ -1,7 +1,6 @@
 """Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted."""
 
 import asyncio
-import contextlib
 import hashlib
 import logging
 import time
@@ -15,19 +14,10 @@ from sqlalchemy.exc import DataError, IntegrityError
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import file_name
-from kleinkram.recordings import (
-    CHILD_COMMAND,
-    CHILD_ENVIRONMENT,
-    FailureKind,
-    RecordingSummary,
-    SummaryFailed,
-    UrlRequest,
-    read_answer,
-    request_bytes,
-    timed_out,
-)
+from kleinkram.recordings import FailureKind, RecordingSummary, SummaryFailed, UrlRequest, request_bytes
 from kleinkram.server.blobs import service
-from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, site_of
+from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, given, site_of
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.recordings.service import regroup_forgotten
@@ -48,7 +38,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     if row is None or row.path is None or row.store_id != site.settings.store_id:
         return
     try:
-        summary = await _summary(site, row)
+        summary = await _summary(site, given(context, "readers", Readers), row)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and context.job.attempts < ATTEMPTS - 1:
             raise  # the store, not the file: worth another try
@@ -64,7 +54,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
             await service.keep_failure(db, blob_id, "what it says of itself does not fit into the database")
 
 
-async def _summary(site: Site, row: Row[tuple[object, ...]]) -> RecordingSummary:
+async def _summary(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -> RecordingSummary:
     timeout_s = site.settings.summary_timeout_s
     url = await site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
     request = request_bytes(
@@ -72,23 +62,7 @@ async def _summary(site: Site, row: Row[tuple[object, ...]]) -> RecordingSummary
         memory_bytes=site.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),
     )
-    process = await asyncio.create_subprocess_exec(
-        *CHILD_COMMAND,
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        env=CHILD_ENVIRONMENT,
-    )
-    try:
-        stdout, stderr = await asyncio.wait_for(process.communicate(request), timeout_s)
-    except asyncio.TimeoutError:
-        raise timed_out() from None
-    finally:
-        if process.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
-    return read_answer(stdout, stderr, process.returncode or 0)
+    return await readers.summary(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
 
 
 @queue.task(name=Job.prove_blob.value, retry=PATIENTLY, pass_context=True)

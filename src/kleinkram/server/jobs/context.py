@@ -1,17 +1,25 @@
 """What the worker gives its jobs to work with, and how often they try."""
 
+from typing import TypeVar
+
 from procrastinate import JobContext, RetryStrategy
 
 from kleinkram.server.site import Site
 
+T = TypeVar("T")
 ATTEMPTS = 5
 # Waits of 4, 16, 64, 256 s: a store that is away for minutes costs nothing but patience.
 PATIENTLY = RetryStrategy(max_attempts=ATTEMPTS, exponential_wait=4)
 
 
+def given(context: JobContext, name: str, kind: type[T]) -> T:
+    """Return one of the things that the worker gave its jobs to work with."""
+    thing = context.additional_context[name]
+    if not isinstance(thing, kind):
+        raise TypeError(f"the worker was started without its {name}")
+    return thing
+
+
 def site_of(context: JobContext) -> Site:
-    """Return what the worker gave its jobs to work with."""
-    site = context.additional_context["site"]
-    if not isinstance(site, Site):
-        raise TypeError("the worker was started without its site")
-    return site
+    """Return the job's way to database and store."""
+    return given(context, "site", Site)

@@ -13,6 +13,7 @@ from procrastinate.jobs import Status
 
 import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
+from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.queue import DEFAULT, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
@@ -47,12 +48,12 @@ async def _open_and_run(settings: Settings) -> None:
 
 async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings)
-    async with app.open_async(), open_storage(settings) as storage:
-        site = Site(database, storage, settings)
+    async with app.open_async(), open_storage(settings) as storage, Readers() as readers:
+        given = {"site": Site(database, storage, settings), "readers": readers}
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
-            asyncio.create_task(_work(app, site, lane=DEFAULT, at_once=_AT_ONCE)),
-            asyncio.create_task(_work(app, site, lane=PROVING, at_once=1)),
+            asyncio.create_task(_work(app, given, lane=DEFAULT, at_once=_AT_ONCE)),
+            asyncio.create_task(_work(app, given, lane=PROVING, at_once=1)),
             asyncio.create_task(_rescue_stalled(app)),
         ]
         try:
@@ -67,12 +68,12 @@ async def _run(app: App, settings: Settings) -> None:
             await database.close()
 
 
-async def _work(app: App, site: Site, *, lane: str, at_once: int) -> None:
+async def _work(app: App, given: dict[str, object], *, lane: str, at_once: int) -> None:
     await app.run_worker_async(
         queues=[lane],
         concurrency=at_once,
         install_signal_handlers=False,
-        additional_context={"site": site},
+        additional_context=given,
         shutdown_graceful_timeout=20,
         fetch_job_polling_interval=2,
         update_heartbeat_interval=5,

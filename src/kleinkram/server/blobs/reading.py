@@ -1,0 +1,124 @@
+"""The child processes that read untrusted recordings: started when needed, kept for a moment, ended on any doubt.
+
+Starting one costs more than reading a small file, so a child takes several files, one after the other: of one person
+only, so that whoever sends a hostile file could at most falsify what is said of their own.
+"""
+
+import asyncio
+import contextlib
+import uuid
+from dataclasses import dataclass
+
+from typing_extensions import Self
+
+from kleinkram.recordings import CHILD_COMMAND, CHILD_ENVIRONMENT, RecordingSummary, read_answer, timed_out
+
+_FILES_EACH = 100
+_IDLE_S = 1.0
+# The summary of a recording with some ten thousand topics is a few megabytes of JSON.
+_ANSWER_LIMIT_BYTES = 64 * 1024 * 1024
+
+
+@dataclass
+class _Reader:
+    process: asyncio.subprocess.Process
+    owner: uuid.UUID
+    files: int = 0
+    retirement: "asyncio.Task[None] | None" = None
+
+    async def ask(self, request: bytes) -> bytes:
+        """Return the child's line, or b"" when it ended instead."""
+        if self.process.stdin is None or self.process.stdout is None:
+            raise TypeError("the child was started without its pipes")
+        self.files += 1
+        with contextlib.suppress(ConnectionError):  # it died: what it left on stderr tells why
+            self.process.stdin.write(request + b"\n")
+            await self.process.stdin.drain()
+        return await self.process.stdout.readline()
+
+    async def last_words(self) -> tuple[bytes, int]:
+        """Wait for the end; return what it said on stderr, and its exit code."""
+        _, stderr = await self.process.communicate()
+        return stderr, self.process.returncode or 0
+
+    async def end(self) -> None:
+        """End it, whatever it is doing."""
+        with contextlib.suppress(ProcessLookupError):
+            self.process.kill()
+        await self.process.communicate()
+
+
+class Readers:
+    """Children that wait for the next file. One a worker; leaving its context ends them all."""
+
+    def __init__(self) -> None:
+        self._idle: list[_Reader] = []
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        idle, self._idle = self._idle, []
+        for reader in idle:
+            await self._recall(reader)
+            await reader.end()
+
+    async def summary(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> RecordingSummary:
+        """Have one recording of `owner` read.
+
+        Raises:
+            SummaryFailed: the child ran out of memory or time, crashed, or could not read the bytes.
+        """
+        reader = await self._waiting_for(owner) or await _start(owner)
+        try:
+            line = await asyncio.wait_for(reader.ask(request), timeout_s)
+            if not line:
+                stderr, code = await asyncio.wait_for(reader.last_words(), timeout_s)
+                return read_answer(b"", stderr, code)
+            summary = read_answer(line, b"", 0)
+        except asyncio.TimeoutError:
+            await reader.end()
+            raise timed_out() from None
+        except BaseException:
+            await reader.end()
+            raise
+        await self._keep(reader)
+        return summary
+
+    async def _waiting_for(self, owner: uuid.UUID) -> _Reader | None:
+        for reader in self._idle:
+            if reader.owner == owner:
+                self._idle.remove(reader)
+                await self._recall(reader)
+                return reader
+        return None
+
+    async def _keep(self, reader: _Reader) -> None:
+        if reader.files >= _FILES_EACH:
+            await reader.end()
+            return
+        self._idle.append(reader)
+        reader.retirement = asyncio.create_task(self._retire(reader))
+
+    async def _retire(self, reader: _Reader) -> None:
+        await asyncio.sleep(_IDLE_S)
+        self._idle.remove(reader)
+        await asyncio.shield(reader.end())
+
+    async def _recall(self, reader: _Reader) -> None:
+        if reader.retirement is not None:
+            reader.retirement.cancel()
+            await asyncio.gather(reader.retirement, return_exceptions=True)
+            reader.retirement = None
+
+
+async def _start(owner: uuid.UUID) -> _Reader:
+    process = await asyncio.create_subprocess_exec(
+        *CHILD_COMMAND,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env=CHILD_ENVIRONMENT,
+        limit=_ANSWER_LIMIT_BYTES,
+    )
+    return _Reader(process, owner)

@@ -1,0 +1,80 @@
+"""The children that read untrusted recordings: shared by the files of one person, ended on any doubt."""
+
+import asyncio
+import uuid
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings import FailureKind, FileRequest, SummaryFailed, request_bytes
+from kleinkram.recordings.sample import generate_mcap
+from kleinkram.server.blobs.reading import Readers
+
+_ADA, _BOB = uuid.uuid4(), uuid.uuid4()
+
+
+@pytest.fixture(name="recording", scope="module")
+def _recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path: Path = tmp_path_factory.mktemp("reading") / "run.mcap"
+    generate_mcap(path, size_bytes=300_000, seed=1)
+    return path
+
+
+def _with_readers(work: Callable[[Readers], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async with Readers() as readers:
+            await work(readers)
+
+    asyncio.run(run())
+
+
+def _pids(readers: Readers) -> set[int]:
+    return {reader.process.pid for reader in readers._idle}
+
+
+def test_files_of_one_person_share_a_child_and_others_do_not(recording: Path) -> None:
+    async def work(readers: Readers) -> None:
+        request = request_bytes(FileRequest(str(recording)))
+        for owner in (_ADA, _ADA, _BOB):
+            summary = await readers.summary(request, owner=owner, timeout_s=20)
+            assert summary.message_count
+        assert {(reader.owner, reader.files) for reader in readers._idle} == {(_ADA, 2), (_BOB, 1)}
+
+    _with_readers(work)
+
+
+def test_a_child_that_runs_out_of_memory_is_not_used_again(recording: Path) -> None:
+    async def work(readers: Readers) -> None:
+        await readers.summary(request_bytes(FileRequest(str(recording))), owner=_ADA, timeout_s=20)
+        before = _pids(readers)
+        starved = request_bytes(FileRequest(str(recording)), memory_bytes=1 << 20)
+        with pytest.raises(SummaryFailed) as failure:
+            await readers.summary(starved, owner=_ADA, timeout_s=20)
+        assert failure.value.kind in {FailureKind.memory, FailureKind.crash}
+        await readers.summary(request_bytes(FileRequest(str(recording))), owner=_ADA, timeout_s=20)
+        assert not _pids(readers) & before
+
+    _with_readers(work)
+
+
+def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
+    async def work(readers: Readers) -> None:
+        request = request_bytes(FileRequest(str(recording)))
+        with pytest.raises(SummaryFailed) as failure:
+            await readers.summary(request, owner=_ADA, timeout_s=0.001)
+        assert failure.value.kind is FailureKind.time
+        assert _pids(readers) == set()
+
+    _with_readers(work)
+
+
+def test_a_file_that_is_not_there_says_so(recording: Path, tmp_path: Path) -> None:
+    async def work(readers: Readers) -> None:
+        with pytest.raises(SummaryFailed) as failure:
+            missing = request_bytes(FileRequest(str(tmp_path / "none.bag")))
+            await readers.summary(missing, owner=_ADA, timeout_s=20)
+        assert failure.value.kind is FailureKind.source
+        await readers.summary(request_bytes(FileRequest(str(recording))), owner=_ADA, timeout_s=20)
+
+    _with_readers(work)
