@@ -51,6 +51,7 @@ async def _actor(
         actor = await find_actor(db, credentials.credentials, request_id=request.state.request_id)
     if actor is None:
         raise NotAuthenticated(reason="the token is not valid here")
+    request.state.actor = actor
     return actor
 
 

@@ -24,6 +24,7 @@ from kleinkram.contract.errors import (
     to_problem,
 )
 from kleinkram.server import measures
+from kleinkram.server.audit.refusals import Refusal, Refusals
 
 _log = logging.getLogger("kleinkram.http")
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
@@ -113,7 +114,25 @@ def _request_id(request: Request) -> str | None:
 async def _on_failure(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, KleinkramError):
         raise error
+    if error.status in {401, 403}:
+        await _note_refusal(request, error)
     return problem_response(error, _request_id(request))
+
+
+async def _note_refusal(request: Request, error: KleinkramError) -> None:
+    state = request.app.state
+    if not hasattr(state, "refusals"):
+        state.refusals = Refusals()
+    # The route's own path: what else stands in the address is the asker's, of any length and content.
+    place = f"{request.method} {getattr(request.scope.get('route'), 'path', 'unmatched')}"
+    refusal = Refusal(
+        actor=getattr(request.state, "actor", None),
+        place=place,
+        why={name: str(value) for name, value in error.fields().items()},
+        address=request.client.host if request.client else None,
+        request_id=_request_id(request),
+    )
+    await state.refusals.note(state.database, refusal)
 
 
 async def _on_invalid(request: Request, error: Exception) -> JSONResponse:

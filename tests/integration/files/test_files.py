@@ -166,6 +166,13 @@ def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sampl
     assert revisions == {source["id"]: 1, target["id"]: 2}
 
 
+def test_who_had_a_file_proven_again_is_noted(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap")
+    api.post(f"/files/{file_id}/prove").ok(202)
+    (event,) = api.events(file_id)
+    assert (event["operation"], event["noun_name"], event["actor"]["name"]) == ("file.prove", "a.mcap", "owner")
+
+
 @pytest.mark.parametrize("noun", ["project", "mission", "file"])
 def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> None:
     project = api.project()["id"]

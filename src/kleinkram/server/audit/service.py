@@ -29,19 +29,24 @@ class Event:
     after: Metadata = field(default_factory=dict)
 
 
-async def record(db: Connection, actor: Actor | None, *events: Event) -> None:
-    """Add events to the record, as part of the caller's transaction. `actor` is None for the server's own jobs."""
-    await record_all(db, actor, events)
+async def record(db: Connection, actor: Actor | None, *events: Event, request_id: str | None = None) -> None:
+    """Add events to the record, as part of the caller's transaction.
+
+    `actor` is None for the server's own jobs, and where nobody knows who asked: then `request_id` is the request's.
+    """
+    await record_all(db, actor, events, request_id=request_id)
 
 
-async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event]) -> None:
+async def record_all(
+    db: Connection, actor: Actor | None, events: Sequence[Event], *, request_id: str | None = None
+) -> None:
     """Add many events to the record, as part of the caller's transaction."""
     if not events:
         return
     who = {
         "actor_id": actor.person_id if actor else None,
         "token_id": actor.token_id if actor else None,
-        "request_id": actor.request_id if actor else None,
+        "request_id": actor.request_id if actor else request_id,
     }
     await db.execute(insert(audit_event), [{**vars(event), **who} for event in events])
 

@@ -187,6 +187,7 @@ async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fil
     """
     row = await _row(db, actor, file_id)
     await prove_again(db, row.blob_id)
+    await record(db, actor, Event("file.prove", "file", file_id, row.path, row.project_id))
     return queries.to_file(row)
 
 

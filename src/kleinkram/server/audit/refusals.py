@@ -1,0 +1,75 @@
+"""Failed sign-ins and denials: noted in a transaction of their own, since the request that failed keeps none.
+
+Anybody can have themselves refused, as often as they like. So a process notes at most `PER_MINUTE` refusals a minute;
+the first note after that says how many were left out, and the log of requests has every one. A token is never noted,
+nor anything else that the request brought along beside its address.
+"""
+
+import logging
+import time
+from dataclasses import dataclass
+
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.metadata import Metadata
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Database
+
+PER_MINUTE = 20
+_MINUTE_S = 60
+_log = logging.getLogger("kleinkram.audit")
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A request that was refused: why, by the fields of its error; by whom, as far as that is known; and from where."""
+
+    actor: Actor | None
+    place: str
+    why: Metadata
+    address: str | None
+    request_id: str | None
+
+    @property
+    def operation(self) -> str:
+        """What the record calls it."""
+        return "auth.refused" if self.actor is None else "access.denied"
+
+
+class Refusals:
+    """How many were noted in the minute that runs, and how many were not since the last note."""
+
+    def __init__(self) -> None:
+        self._began_at = float("-inf")
+        self._noted = 0
+        self._left_out = 0
+
+    def admits(self, now: float) -> bool:
+        """Say whether a refusal at `now`, in seconds, may be noted, and count it either way."""
+        if now - self._began_at >= _MINUTE_S:
+            self._began_at, self._noted = now, 0
+        if self._noted >= PER_MINUTE:
+            self._left_out += 1
+            return False
+        self._noted += 1
+        return True
+
+    def left_out(self) -> int:
+        """Return how many were left out since this was asked last."""
+        count, self._left_out = self._left_out, 0
+        return count
+
+    async def note(self, database: Database, refusal: Refusal) -> None:
+        """Note a refusal; the answer is the same where that cannot be done."""
+        if not self.admits(time.monotonic()):
+            return
+        left_out = self.left_out()
+        after: Metadata = {**refusal.why, "address": refusal.address}
+        if left_out:
+            after["left_out_before"] = left_out
+        event = Event(refusal.operation, "request", None, refusal.place, None, after=after)
+        try:
+            async with database.begin() as db:
+                await record(db, refusal.actor, event, request_id=refusal.request_id)
+        except DatabaseUnavailable:
+            _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})

@@ -1,0 +1,88 @@
+"""Failed sign-ins and denials leave a trace, however many there are no more than a page of it."""
+
+import uuid
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.errors import Forbidden
+from kleinkram.server.access.owner import ensure_owner
+from kleinkram.server.audit import refusals
+from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.site import Site
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.running import Api
+
+
+def _noted(api: Api, operation: str) -> list[Any]:
+    return [event for event in api.all("/audit", {"limit": "500"}) if event["operation"] == operation]
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [("Bearer wrong-secret", "the token is not valid here"), ("Basic eDp5", "the request has no bearer token")],
+)
+def test_a_failed_sign_in_is_noted_without_its_token(start_api: StartApi, sent: str, reason: str) -> None:
+    api = start_api()
+    headers = {"Authorization": sent, "X-Request-Id": "mine"}
+    api.call("GET", f"/projects/{uuid.uuid4()}", headers=headers).refused(401, "not_authenticated")
+    (event,) = _noted(api, "auth.refused")
+    assert (event["actor"], event["noun"], event["noun_name"]) == (None, "request", "GET /api/v1/projects/{project_id}")
+    assert (event["after"], event["request_id"]) == ({"reason": reason, "address": "127.0.0.1"}, "mine")
+    assert sent.split()[1] not in str(event)
+
+
+def test_a_denial_is_noted_with_who_was_denied_though_nothing_else_is_kept(start_api: StartApi) -> None:
+    api = start_api()
+
+    async def forbidden(db: Transaction, actor: CurrentActor) -> None:
+        raise Forbidden(noun="project", operation="delete")
+
+    api.app.add_api_route("/api/v1/forbidden", forbidden)
+    api.get("/forbidden").refused(403, "forbidden")
+    (event,) = _noted(api, "access.denied")
+    assert (event["actor"]["name"], event["noun_name"]) == ("owner", "GET /api/v1/forbidden")
+    assert event["after"] == {"noun": "project", "operation": "delete", "address": "127.0.0.1"}
+
+
+def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refusals, "PER_MINUTE", 5)
+    api = start_api()
+    with api.statements() as statements, ThreadPoolExecutor(4) as pool:
+        calls = [pool.submit(api.call, "GET", "/projects", headers={"Authorization": "x"}) for _ in range(30)]
+    assert {call.result().status for call in calls} == {401}
+    assert len(_noted(api, "auth.refused")) == len(statements) == 5
+
+
+def test_after_a_flood_the_next_note_says_how_many_were_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refusals, "PER_MINUTE", 2)
+    noted = Refusals()
+    assert [noted.admits(now) for now in (1000, 1001, 1030, 1059, 1060, 1061, 1062)] == [
+        True,
+        True,
+        False,
+        False,
+        True,
+        True,
+        False,
+    ]
+    assert (noted.left_out(), noted.left_out()) == (3, 0)
+
+
+def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi) -> None:
+    api = start_api()
+
+    async def replace(site: Site) -> None:
+        for _ in range(2):
+            async with site.database.begin() as db:
+                await ensure_owner(db, "another secret")
+
+    on_site(api, replace)
+    operations = api.sql("SELECT operation, noun_id FROM audit_event WHERE noun = 'token' ORDER BY id")
+    tokens = [row[0] for row in api.sql("SELECT id FROM token ORDER BY created_at")]
+    assert operations == [("token.create", tokens[0]), ("token.revoke", tokens[0]), ("token.create", tokens[1])]
