@@ -68,6 +68,9 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
         f"-s3.localSocket={_socket(store, 's3')}",
         f"-filer.localSocket={_socket(store, 'filer')}",
         "-volume.preStopSeconds=0",
+        # With a resumed state the master may take itself for one of many after an election, and refuses every write
+        # for 15 s (seaweedfs pull request 8529). What it would resume, the one volume server tells it at once.
+        "-master.resumeState=false",
         "-master.telemetry=false",
         "-admin.ui=false",
         "-webdav=false",
