@@ -6,8 +6,9 @@ import sys
 import psycopg
 import pytest
 from alembic import command
+from alembic.script import ScriptDirectory
 
-from kleinkram.server.migrations import alembic_config
+from kleinkram.server.migrations import HEAD, alembic_config
 from tests.stack import RunningPostgres
 
 
@@ -34,6 +35,10 @@ def test_models_and_migrations_agree(postgres: RunningPostgres, database: str) -
     command.check(alembic_config(url, "kleinkram_serve"))  # raises where they differ
     with psycopg.connect(postgres.serve_url(database)) as connection:
         assert connection.execute("SELECT count(*) FROM alembic_version").fetchone() == (1,)
+
+
+def test_the_newest_revision_is_the_one_written_down() -> None:
+    assert ScriptDirectory.from_config(alembic_config("postgresql://", "role")).get_current_head() == HEAD
 
 
 def test_migrating_twice_changes_nothing(postgres: RunningPostgres, database: str) -> None:

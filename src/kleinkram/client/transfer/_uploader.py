@@ -28,6 +28,7 @@ from kleinkram.contract.uploads import (
     Linked,
     Present,
     Refused,
+    Send,
     UploadDecision,
     UploadFile,
     UploadRead,
@@ -116,7 +117,11 @@ class Uploader:
             while asking:
                 self._stop.check()
                 decisions = self._uploads.begin(self._mission_id, [candidate.announcement() for candidate in asking])
-                answered = zip(asking, decisions.items, strict=True)
+                answered = [*zip(asking, decisions.items, strict=True)]
+                # All written down before the first is sent: a kill from here on leaves none that cannot be resumed.
+                for candidate, decision in answered:
+                    if isinstance(decision, Send):
+                        self._write_down(candidate, decision.upload)
                 asking = [candidate for candidate, decision in answered if self._asks_again(candidate, decision)]
         except BaseException:
             self._stop.now()
@@ -167,7 +172,7 @@ class Uploader:
             result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, kept.id, kept.sha256)
             self._ended(result)
         else:
-            self._hash_and_queue(candidate, decision.upload)
+            self._pipeline.submit(Sending(candidate.source, candidate.journal, decision.upload, candidate.whole))
         return False
 
     def _hash_first(self, candidate: Candidate) -> bool:
@@ -194,7 +199,7 @@ class Uploader:
             self._end_refused(file, error)
         return False
 
-    def _hash_and_queue(self, candidate: Candidate, upload: UploadRead) -> None:
+    def _write_down(self, candidate: Candidate, upload: UploadRead) -> None:
         file = candidate.source.file
         head = JournalHead(
             server=self._server,
@@ -205,7 +210,6 @@ class Uploader:
             upload_id=upload.id,
         )
         candidate.journal.begin(head, durable=file.size_bytes > upload.part_size_bytes)
-        self._pipeline.submit(Sending(candidate.source, candidate.journal, upload, candidate.whole))
 
     def _settle_leased(self) -> None:
         """Wait for names that another client holds; one that died holds them for a minute at most.
