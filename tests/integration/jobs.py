@@ -44,7 +44,7 @@ def on_site(api: Api, work: Callable[[Site], Awaitable[T]]) -> T:
     settings: Settings = api.app.state.settings
 
     async def run() -> T:
-        database = open_database(settings)
+        database = open_database(settings, statement_timeout_s=None)
         try:
             async with open_storage(settings) as storage:
                 return await work(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))

@@ -47,7 +47,7 @@ async def _open_and_run(settings: Settings) -> None:
 
 
 async def _run(app: App, settings: Settings) -> None:
-    database = open_database(settings)
+    database = open_database(settings, statement_timeout_s=None)
     async with app.open_async(), open_storage(settings) as storage, Readers() as readers:
         given = {"site": Site(database, storage, settings), "readers": readers}
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
