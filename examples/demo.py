@@ -159,7 +159,7 @@ def tell(story: Story) -> None:
         (STAGE / "mission.yaml").write_text(METADATA)
         klein(
             *("upload", "-p", "alpine", "-m", "jungfraujoch-1", "--create"),
-            *("--metadata", "mission.yaml", "--wait", "60", "field-day"),
+            *("--metadata", "mission.yaml", "--wait", "field-day"),
         )
     with story.step("What is in it"):
         klein("project", "info", "alpine")

@@ -37,7 +37,7 @@ def test_a_field_day_goes_in_is_found_and_comes_back(terminal: Terminal, day: Pa
     assert "temperature" in form
     metadata.write_text("robot: anymal\ntemperature: -4\n")
     place = ["-p", "alps 2026", "-m", "Day 1"]  # names are the same in any case
-    uploaded = terminal.run("upload", *place, "--create", "--metadata", metadata, "--wait", "60", f"{day}/", "--json")
+    uploaded = terminal.run("upload", *place, "--create", "--metadata", metadata, "--wait", f"{day}/", "--json")
     report = uploaded.json()
     assert {item["outcome"] for item in report["items"]} == {"uploaded"}
     paths = {item["path"] for item in report["items"]}

@@ -42,7 +42,7 @@ def stats(
 
 
 def _row(group: str, row: StatsRow) -> tuple[object, ...]:
-    hours = f"{row.duration_ns / _NS_PER_HOUR:.2f}"
+    hours = f"{row.duration_ns / _NS_PER_HOUR:.4f}"
     return (group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages)
 
 

@@ -46,9 +46,11 @@ def upload(
         bool, typer.Option("--include-active", help="Also files that are still being recorded.")
     ] = False,
     wait: Annotated[
-        float | None,
-        typer.Option("--wait", metavar="SECONDS", help="Then wait until the server knows what is in the files."),
-    ] = None,
+        bool, typer.Option("--wait", help="Then wait until the server knows what is in the files.")
+    ] = False,
+    wait_limit: Annotated[
+        float, typer.Option("--wait-limit", metavar="SECONDS", min=0, help="Wait at most so long.")
+    ] = 600,
     limit_rate: LimitRate = None,
     connections: Connections = CONNECTIONS,
     dry_run: DryRun = False,
@@ -72,7 +74,7 @@ def upload(
         target = found or _make(client, project, mission or "", text)
         if found is not None and text is not None:
             note("The mission exists; --metadata was left aside (`klein mission update` changes it).")
-        _transfer(client, target, plan, connections, bytes_per_s, wait, as_json)
+        _transfer(client, target, plan, connections, bytes_per_s, wait_limit if wait else None, as_json)
 
 
 def _find(client: Client, project: str | None, mission: str, create: bool) -> MissionRead | None:
