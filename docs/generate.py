@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from pydantic_core import PydanticUndefined
 
+from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
 from kleinkram.server.app import create_app
 from kleinkram.server.settings import Settings
@@ -69,7 +70,22 @@ def cli_reference() -> str:
     lines = ["# Commands", "", "What `klein --help` says, in one place. This page is generated.", ""]
     for path, command in _commands(root, ["klein"]):
         lines += _section(path, command)
-    return "\n".join(lines).rstrip() + "\n"
+    return "\n".join(lines + _exit_codes()).rstrip() + "\n"
+
+
+def _exit_codes() -> list[str]:
+    lines = [
+        "## Exit codes",
+        "",
+        "0 is success. Scripts may rely on these numbers.",
+        "",
+        "| code | name | failures |",
+        "|---|---|---|",
+    ]
+    for code in ExitCode:
+        failures = ", ".join(sorted(error.__name__ for error, its in EXIT_CODES.items() if its is code))
+        lines.append(f"| {code.value} | {code.name.replace('_', ' ')} | {failures} |")
+    return lines
 
 
 def _commands(command: Any, path: list[str]) -> Iterator[tuple[list[str], Any]]:
