@@ -99,6 +99,8 @@ def random_file(path: Path, size_bytes: int) -> Path:
     with path.open("wb") as stream:
         for start in range(0, size_bytes, 1 << 24):
             stream.write(os.urandom(min(1 << 24, size_bytes - start)))
+    # An hour old: of files written just now, an upload waits to see whether they still grow.
+    os.utime(path, (time.time() - 3600, time.time() - 3600))
     return path
 
 
@@ -111,6 +113,7 @@ def upload_row(environment: dict[str, str]) -> dict[str, object]:
         nonlocal number
         number += 1
         os.truncate(source, GB + number)
+        os.utime(source, (time.time() - 3600, time.time() - 3600))
         klein("mission", "create", f"up-{number}", "-p", "bench")
         run = run_side("upload_ours", "bench", f"up-{number}", str(source), environment=environment)
         settle()
@@ -240,6 +243,7 @@ def start_rows() -> list[dict[str, object]]:
             urllib.request.urlopen(f"{told()['url']}/health/ready", timeout=10).close()
             answers.append(time.perf_counter() - started)
             os.truncate(small, 1000 + number)
+            os.utime(small, (time.time() - 3600, time.time() - 3600))
             klein("upload", "-p", "bench", "-m", "up-1", str(small), "--json")
             puts.append(time.perf_counter() - started)
             klein("file", "delete", "put.bin", "-p", "bench", "-m", "up-1", "--yes")
