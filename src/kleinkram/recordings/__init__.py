@@ -6,7 +6,7 @@ process give it (`summarise_isolated`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 
-Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2_metadata`, `http_source` (needs urllib3) and
+Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2.metadata`, `http_source` (needs urllib3) and
 `sample`, which makes sample missions.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         timed_out,
     )
     from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
-    from kleinkram.recordings.rosbag2_metadata import Rosbag2Metadata, compare_members, parse_rosbag2_metadata
+    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, compare_members, parse_rosbag2_metadata
     from kleinkram.recordings.serialise import from_dict, to_dict
     from kleinkram.recordings.sniffing import sniff
     from kleinkram.recordings.sources import CountingSource, FileSource, Source
@@ -84,7 +84,7 @@ _HOMES = {
         "timed_out",
     ),
     "model": ("Content", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "rosbag2_metadata": ("Rosbag2Metadata", "compare_members", "parse_rosbag2_metadata"),
+    "rosbag2.metadata": ("Rosbag2Metadata", "compare_members", "parse_rosbag2_metadata"),
     "serialise": ("from_dict", "to_dict"),
     "sniffing": ("sniff",),
     "sources": ("CountingSource", "FileSource", "Source"),

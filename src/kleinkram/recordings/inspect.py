@@ -11,7 +11,7 @@ from pathlib import Path
 from kleinkram.recordings.combining import combine
 from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group
 from kleinkram.recordings.model import Problem, RecordingSummary
-from kleinkram.recordings.rosbag2_metadata import MAX_TEXT, compare_members, parse_rosbag2_metadata
+from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, compare_members, parse_rosbag2_metadata
 from kleinkram.recordings.sources import FileSource
 from kleinkram.recordings.summary import summarise
 

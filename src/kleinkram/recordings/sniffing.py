@@ -10,8 +10,9 @@ from pathlib import PurePosixPath
 
 import zstandard
 
-from kleinkram.recordings import bag_records, mcap_records
+from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.limits import MAX_ZSTD_WINDOW
+from kleinkram.recordings.mcap import records as mcap_records
 from kleinkram.recordings.model import Problem, RecordingFormat
 from kleinkram.recordings.sources import Source
 

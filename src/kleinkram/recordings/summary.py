@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kleinkram.recordings.assemble import bounded
-from kleinkram.recordings.bag_summary import summarise_bag
-from kleinkram.recordings.mcap_summary import summarise_mcap
+from kleinkram.recordings.bag.summary import summarise_bag
+from kleinkram.recordings.mcap.summary import summarise_mcap
 from kleinkram.recordings.model import Content, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sniffing import extension_lies, sniff, sniff_inside_zstd
 from kleinkram.recordings.sources import CountingSource, Source

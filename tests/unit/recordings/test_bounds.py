@@ -8,8 +8,8 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, CountingSource, summarise
-from kleinkram.recordings.bag_writer import BagCompression, BagWriter
-from kleinkram.recordings.mcap_writer import Compression, McapWriter
+from kleinkram.recordings.bag.writer import BagCompression, BagWriter
+from kleinkram.recordings.mcap.writer import Compression, McapWriter
 
 from .memory_source import MemorySource, SparseFile
 

@@ -18,7 +18,7 @@ from kleinkram.recordings import (
     to_dict,
 )
 from kleinkram.recordings.assemble import TopicType, measure
-from kleinkram.recordings.mcap_scan import scan_mcap
+from kleinkram.recordings.mcap.scan import scan_mcap
 from kleinkram.recordings.timeline import Timeline
 
 from .corpus import Entry, entries, params

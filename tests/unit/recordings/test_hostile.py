@@ -9,10 +9,10 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings import mcap_records as records
-from kleinkram.recordings.bag_records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.bag_writer import BagWriter
-from kleinkram.recordings.mcap_writer import Compression, McapWriter
+from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.bag.writer import BagWriter
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.writer import Compression, McapWriter
 
 from .memory_source import MemorySource
 

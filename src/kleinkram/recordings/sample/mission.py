@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from kleinkram.recordings.bag_writer import BagWriter
-from kleinkram.recordings.db3_writer import Db3Writer
-from kleinkram.recordings.mcap_writer import McapWriter
+from kleinkram.recordings.bag.writer import BagWriter
+from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
 from kleinkram.recordings.sample import definitions
 from kleinkram.recordings.sample.layout import Encoding
 from kleinkram.recordings.sample.truth import FileTruth, MissionTruth, TruthKeeper

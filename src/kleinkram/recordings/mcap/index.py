@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 
-from kleinkram.recordings import mcap_records as records
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, TAIL, WINDOW
-from kleinkram.recordings.mcap_records import ChunkPlace, McapFacts
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.records import ChunkPlace, McapFacts
 from kleinkram.recordings.packed import smallest_to_come
 from kleinkram.recordings.sources import Source, read_ranges
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range

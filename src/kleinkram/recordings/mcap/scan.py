@@ -12,11 +12,11 @@ from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from kleinkram.recordings import mcap_records as records
 from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_NAME
-from kleinkram.recordings.mcap_records import McapFacts
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.records import McapFacts
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import Cut, ForwardStream, open_range
 from kleinkram.recordings.timeline import Timeline

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from kleinkram.recordings import bag_records as records
 from kleinkram.recordings.assemble import TopicType, bounded, measure
-from kleinkram.recordings.bag_records import ChunkInfo, Connection
+from kleinkram.recordings.bag import records
+from kleinkram.recordings.bag.records import ChunkInfo, Connection
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary

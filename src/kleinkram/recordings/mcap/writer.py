@@ -16,7 +16,7 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
-from kleinkram.recordings import mcap_records as records
+from kleinkram.recordings.mcap import records
 
 CHUNK_BYTES = 2**20
 LIBRARY = "kleinkram"

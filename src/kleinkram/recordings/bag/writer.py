@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 import lz4.frame
 
-from kleinkram.recordings import bag_records as records
+from kleinkram.recordings.bag import records
 
 CHUNK_BYTES = 768 * 1024
 _BAG_HEADER_BYTES = 4096

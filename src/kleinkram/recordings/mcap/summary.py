@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kleinkram.recordings import mcap_records as records
 from kleinkram.recordings.assemble import Measured, TopicType, bounded, measure
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
-from kleinkram.recordings.mcap_index import read_footer, read_index
-from kleinkram.recordings.mcap_records import McapFacts
-from kleinkram.recordings.mcap_scan import Scan, scan_mcap
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.index import read_footer, read_index
+from kleinkram.recordings.mcap.records import McapFacts
+from kleinkram.recordings.mcap.scan import Scan, scan_mcap
 from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range

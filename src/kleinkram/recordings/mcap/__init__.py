@@ -1,0 +1,1 @@
+"""MCAP: records, the index, summaries, scans, writing."""

@@ -1,0 +1,1 @@
+"""rosbag2: the SQLite database (db3), the metadata of a folder."""
