@@ -27,7 +27,16 @@ if TYPE_CHECKING:
         summarise_isolated,
         timed_out,
     )
-    from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
+    from kleinkram.recordings.model import (
+        Content,
+        Depth,
+        Fact,
+        Lost,
+        Problem,
+        RecordingFormat,
+        RecordingSummary,
+        TopicSummary,
+    )
     from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, compare_members, parse_rosbag2_metadata
     from kleinkram.recordings.serialise import from_dict, to_dict
     from kleinkram.recordings.sniffing import sniff
@@ -39,10 +48,13 @@ __all__ = [
     "CHILD_ENVIRONMENT",
     "Content",
     "CountingSource",
+    "Depth",
+    "Fact",
     "FailureKind",
     "FileRequest",
     "FileSource",
     "GroupKind",
+    "Lost",
     "Problem",
     "RecordingError",
     "RecordingFormat",
@@ -83,7 +95,7 @@ _HOMES = {
         "summarise_isolated",
         "timed_out",
     ),
-    "model": ("Content", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
+    "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
     "rosbag2.metadata": ("Rosbag2Metadata", "compare_members", "parse_rosbag2_metadata"),
     "serialise": ("from_dict", "to_dict"),
     "sniffing": ("sniff",),

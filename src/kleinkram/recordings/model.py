@@ -16,6 +16,7 @@ class RecordingFormat(str, Enum):
     rosbag2_metadata = "rosbag2-metadata"
     zstd = "zstd"
     ulog = "ulog"
+    svo2 = "svo2"
     tum = "tum"
     kitti = "kitti"
     yaml = "yaml"
@@ -37,6 +38,42 @@ class Content(str, Enum):
     broken = "broken"
     opaque = "opaque"
     error = "error"
+
+
+class Depth(str, Enum):
+    """How a file was read: by its index (`summary`), or every byte of it (`scan`)."""
+
+    summary = "summary"
+    scan = "scan"
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What of a damaged file cannot be read.
+
+    Attributes:
+        bytes: of the file, that belong to nothing readable.
+        chunks: begun or indexed, of which nothing or not everything could be read.
+        messages: how many are lost; None where nothing in the file tells.
+    """
+
+    bytes: int
+    chunks: int
+    messages: int | None
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One thing that a file says of itself, such as the number of poses of a trajectory.
+
+    Attributes:
+        name: short and stable, for programs.
+        unit: of a number; empty without one.
+    """
+
+    name: str
+    value: str | int | float
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,6 +141,10 @@ class RecordingSummary:
         library: what wrote the file, as it says.
         profile: the MCAP profile, such as "ros2".
         bytes_read: what this summary cost.
+        depth: whether every byte was read.
+        lost: what of a damaged file could not be read; None where nothing is known to be lost.
+        facts: what else the file says of itself; names of attachments and metadata, and what is cheap to tell of
+            formats that are no recordings.
     """
 
     format: RecordingFormat
@@ -120,3 +161,6 @@ class RecordingSummary:
     attachments: int = 0
     metadata_records: int = 0
     bytes_read: int = 0
+    depth: Depth = Depth.summary
+    lost: Lost | None = None
+    facts: tuple[Fact, ...] = ()

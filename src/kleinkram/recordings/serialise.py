@@ -6,7 +6,16 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.model import (
+    Content,
+    Depth,
+    Fact,
+    Lost,
+    Problem,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+)
 
 
 def to_dict(summary: RecordingSummary) -> dict[str, Any]:
@@ -14,7 +23,8 @@ def to_dict(summary: RecordingSummary) -> dict[str, Any]:
     plain = asdict(summary)
     plain["format"] = summary.format.value
     plain["content"] = summary.content.value
-    for name in ("compression", "topics", "problems"):
+    plain["depth"] = summary.depth.value
+    for name in ("compression", "topics", "problems", "facts"):
         plain[name] = list(plain[name])
     return plain
 
@@ -31,4 +41,7 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
     values["compression"] = tuple(values["compression"])
     values["topics"] = tuple(TopicSummary(**topic) for topic in values["topics"])
     values["problems"] = tuple(Problem(**problem) for problem in values["problems"])
+    values["depth"] = Depth(values["depth"])
+    values["lost"] = Lost(**values["lost"]) if values["lost"] is not None else None
+    values["facts"] = tuple(Fact(**fact) for fact in values["facts"])
     return RecordingSummary(**values)
