@@ -12,6 +12,13 @@ MAX_READ = 16 * 2**20
 WINDOW = 2**20
 """Bytes that a sequential reader asks for at a time."""
 
+READ_AHEAD = 4 * 2**20
+"""Bytes that a scan asks for at a time."""
+
+MAX_AT_ONCE = 16 * 2**20
+"""Bytes of a chunk, stored or uncompressed, that a scan holds as a whole; a larger one is read in small steps. Also
+how far a scan looks ahead for the place where a damaged file goes on."""
+
 TAIL = 64 * 2**10
 """Bytes read at the end of a file at once, hoping that they hold the whole summary."""
 
