@@ -1,0 +1,32 @@
+"""A short, fixed run of the fuzzing; the long one by hand (`make soak`)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*arguments: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "tests.fuzz", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_three_thousand_cases() -> None:
+    run("--cases", "3000")
+
+
+@pytest.mark.soak
+def test_twenty_minutes(recordings_dir: Path) -> None:
+    assert recordings_dir
+    run("--minutes", "20", "--start", "1000000", "--real")
