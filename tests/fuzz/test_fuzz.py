@@ -27,6 +27,6 @@ def test_three_thousand_cases() -> None:
 
 
 @pytest.mark.soak
-def test_twenty_minutes(recordings_dir: Path) -> None:
-    assert recordings_dir
+@pytest.mark.usefixtures("recordings_dir")
+def test_twenty_minutes() -> None:
     run("--minutes", "20", "--start", "1000000", "--real")
