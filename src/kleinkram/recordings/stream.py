@@ -1,6 +1,7 @@
 """Forward reading of a range or of a decompressor, in windows, with an optional running CRC-32.
 
 Holds one window, plus what `take` was asked for. Never trusts a length further than the end that it was given.
+`Lookahead` does the same for a scan: it can look at what comes before it passes over it, but never go back.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 
-from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_TAKE, WINDOW
+from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, READ_AHEAD, WINDOW
 from kleinkram.recordings.sources import Source
 
 Refill = Callable[[], bytes]
@@ -65,6 +67,18 @@ class ForwardStream:
         data = self._window[self._at : end]
         self._move(length, data)
         return data
+
+    def take_any(self) -> bytes:
+        """Return the next bytes, as many as are at hand; b"" at the end."""
+        if self.at_end():
+            return b""
+        return self.take(len(self._window) - self._at)
+
+    def take_some(self, most: int) -> bytes:
+        """Return some of the next bytes: at least one and at most `most`; b"" at the end."""
+        if self.at_end():
+            return b""
+        return self.take(min(most, len(self._window) - self._at))
 
     def skip(self, length: int) -> None:
         """Pass over the next `length` bytes; jumps where it can.
@@ -145,3 +159,90 @@ def open_bytes(data: bytes, start: int) -> ForwardStream:
     """Read bytes that are at hand; `start` is their place in the file."""
     pieces = [data]
     return ForwardStream(lambda: pieces.pop() if pieces else b"", start=start)
+
+
+class Lookahead:
+    """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed.
+
+    Attributes:
+        window: bytes at hand; those before `at` are passed.
+        at: in the window, of the next byte.
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        self._forward = forward
+        self.size_bytes = forward.size_bytes
+        self.window = b""
+        self.at = 0
+        self._window_start = 0
+        self._crc = 0
+        self._hashed = 0
+
+    @property
+    def position(self) -> int:
+        """Of the next byte, in the file."""
+        return self._window_start + self.at
+
+    @property
+    def left(self) -> int:
+        """Bytes from here to the end of the file."""
+        return self.size_bytes - self._window_start - self.at
+
+    def ahead(self, length: int) -> int:
+        """Bring the next `length` bytes into the window, or what is left; return how many those are.
+
+        Never more than `MAX_AT_ONCE` and some. What the window held before is another object: take it anew.
+        """
+        length = min(length, MAX_AT_ONCE + WINDOW, self.left)
+        if len(self.window) - self.at < length:
+            self._refill(length)
+        return length
+
+    def advance(self, length: int) -> None:
+        """Pass over the next `length` bytes, which must be there."""
+        while length > len(self.window) - self.at:
+            length -= len(self.window) - self.at
+            self.at = len(self.window)
+            self.ahead(min(length, READ_AHEAD))
+        self.at += length
+
+    def digest(self, length: int) -> int:
+        """Pass over the next `length` bytes, and return their CRC-32."""
+        crc = 0
+        while length:
+            step = min(length, WINDOW)
+            self.ahead(step)
+            crc = zlib.crc32(memoryview(self.window)[self.at : self.at + step], crc)
+            self.at += step
+            length -= step
+        return crc
+
+    def read_up_to(self, length: int) -> bytes:
+        """Pass over the next bytes, at most `length`, and return them; b"" at the end of the file."""
+        length = self.ahead(length)
+        self.at += length
+        return self.window[self.at - length : self.at]
+
+    def crc(self) -> int:
+        """Return the CRC-32 of all that was passed since the beginning, or since `restart_crc`."""
+        self._crc = zlib.crc32(memoryview(self.window)[self._hashed : self.at], self._crc)
+        self._hashed = self.at
+        return self._crc
+
+    def restart_crc(self) -> None:
+        """Forget the CRC-32 of what was passed so far."""
+        self._crc, self._hashed = 0, self.at
+
+    def _refill(self, need: int) -> None:
+        self.crc()
+        pieces = [self.window[self.at :]]
+        have = len(pieces[0])
+        while have < need:
+            piece = self._forward.read(max(READ_AHEAD, need - have))
+            if not piece:
+                raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
+            pieces.append(piece)
+            have += len(piece)
+        self._window_start += self.at
+        self.window = b"".join(pieces)
+        self.at = self._hashed = 0
