@@ -1,0 +1,82 @@
+"""From a channel's schema to the function that decodes its messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+from kleinkram.recordings.decoding.errors import DecodeError, SchemaError, Undecodable
+from kleinkram.recordings.decoding.generate import Decode, generate
+from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
+from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
+from kleinkram.recordings.decoding.schema import Struct
+from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """Decodes the messages of one schema.
+
+    Attributes:
+        type_name: the schema's name.
+        message_encoding: "cdr", "ros1", "json" or "protobuf".
+        decode: (bytes or memoryview of a message) -> its value; raises `DecodeError` and nothing else. A `Value` for
+            ROS, what `json` makes of it for JSON, a message of the definition's own class for protobuf. Texts are
+            UTF-8, with U+FFFD for what is not. Arrays are views: they keep the bytes that were given alive.
+        struct: the layout of a ROS type; None for others.
+    """
+
+    type_name: str
+    message_encoding: str
+    decode: Callable[[bytes], object]
+    struct: Struct | None
+
+
+@lru_cache(maxsize=512)
+def decoder_for(
+    message_encoding: str, schema_name: str, schema_encoding: str, schema_data: bytes
+) -> Decoder | Undecodable:
+    """Return the decoder of a channel's messages, or why there is none. Cached.
+
+    The encodings are spelled as in MCAP; a ROS 1 bag is ("ros1", type, "ros1msg", message_definition).
+    """
+    if len(schema_data) > MAX_SCHEMA_BYTES:
+        return Undecodable(schema_name, f"its schema has {len(schema_data)} bytes; at most {MAX_SCHEMA_BYTES} are read")
+    try:
+        if message_encoding == "ros1" and schema_encoding == "ros1msg":
+            struct = parse_msg(schema_name, _text(schema_data), Ros.one)
+            return Decoder(schema_name, message_encoding, generate(struct, ROS1), struct)
+        if message_encoding == "cdr" and schema_encoding == "ros2msg":
+            struct = parse_msg(schema_name, _text(schema_data), Ros.two)
+            return Decoder(schema_name, message_encoding, _cdr(struct), struct)
+    except SchemaError as error:
+        return Undecodable(schema_name, f"its schema cannot be read: {error}")
+    return Undecodable(
+        schema_name, f"messages encoded as '{message_encoding}' with a schema in '{schema_encoding}' are not decoded"
+    )
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", "replace")
+
+
+def _cdr(struct: Struct) -> Decode:
+    """Return a decoder for any of CDR's plain forms: the usual one first, others made when one is met."""
+    functions = {1: generate(struct, CDR_LE)}
+    usual = functions[1]
+
+    def decode(data: bytes) -> object:
+        if len(data) < 4 or data[0]:
+            raise DecodeError(struct.name, "it does not begin with the header of a CDR message", offset=0)
+        kind = data[1]
+        if kind == 1:
+            return usual(data)
+        if kind not in functions:
+            if kind not in ENCAPSULATIONS:
+                name = OTHER_ENCAPSULATIONS.get(kind, f"number {kind}")
+                raise DecodeError(struct.name, f"it is encoded as {name}, which is not decoded", offset=0)
+            functions[kind] = generate(struct, ENCAPSULATIONS[kind])
+        return functions[kind](data)
+
+    return decode  # type: ignore[return-value]  # every function makes values

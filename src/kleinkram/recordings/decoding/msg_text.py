@@ -1,0 +1,194 @@
+"""Reading ROS message definitions: ROS 1 (a bag's `message_definition`, MCAP's "ros1msg") and ROS 2 ("ros2msg").
+
+The text is untrusted: it is read line by line with patterns that cannot run away, and nothing of it but checked names
+and numbers goes on. Default values and bounds say nothing about the bytes and are passed over.
+
+Source: wiki.ros.org/msg; "Interface definition" of the ROS 2 documentation; MCAP's well-known schema encodings.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from enum import Enum
+
+from kleinkram.recordings.decoding.errors import SchemaError
+from kleinkram.recordings.decoding.limits import MAX_TYPES
+from kleinkram.recordings.decoding.schema import (
+    PRIMITIVES,
+    ConstantValue,
+    Definition,
+    FieldText,
+    Primitive,
+    Struct,
+    constants_of,
+    resolve,
+)
+
+
+class Ros(Enum):
+    """Which ROS a definition is written for: `byte`, `char`, `time` and `Header` mean different things."""
+
+    one = 1
+    two = 2
+
+
+_RULE = re.compile(r"={3,}\s*\Z")
+_LINE = re.compile(
+    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d{1,18})?(?P<array>\[(?:<=)?(?P<length>\d{0,18})\])?"
+    r"[ \t]+(?P<name>[A-Za-z_][A-Za-z0-9_]*)[ \t]*(?P<rest>.*)\Z"
+)
+_TIME = {Ros.one: (("secs", "uint32"), ("nsecs", "uint32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
+_DURATION = {Ros.one: (("secs", "int32"), ("nsecs", "int32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
+_OTHER_NAMES = {
+    Ros.one: {"byte": PRIMITIVES["int8"], "char": PRIMITIVES["uint8"]},
+    Ros.two: {"byte": PRIMITIVES["uint8"], "char": PRIMITIVES["uint8"]},
+}
+
+
+def parse_msg(name: str, text: str, ros: Ros) -> Struct:
+    """Return the type `name` that a text of definitions describes.
+
+    A service's text, which has "---" between request and response, gives `..._Request`, `..._Response` and the
+    `..._Event` that ROS 2 records.
+
+    Raises:
+        SchemaError: the text cannot be followed, or a bound is passed.
+    """
+    definitions = {**_built_in(ros), **_split(name, text)}
+    names = {short_name(known): definition for known, definition in definitions.items()}
+    primitives = {**PRIMITIVES, **_OTHER_NAMES[ros]}
+    if ros is Ros.one:
+        del primitives["wstring"]
+
+    def find(wanted: str, owner: str) -> Primitive | Definition | None:
+        if wanted in primitives:
+            return primitives[wanted]
+        package = owner.partition("/")[0]
+        for candidate in (f"{package}/{wanted}", wanted, "std_msgs/Header" if wanted == "Header" else wanted):
+            if short_name(candidate) in names:
+                return names[short_name(candidate)]
+        return None
+
+    if short_name(name) not in names:
+        raise SchemaError(f"the schema's text does not define {name}")
+    return resolve(names[short_name(name)], find)
+
+
+def short_name(name: str) -> str:
+    """Return the name of a type without what kind of interface it is: "a/msg/B" -> "a/B"."""
+    package, _, rest = name.partition("/")
+    return f"{package}/{rest.rpartition('/')[2]}" if rest else name
+
+
+def split_blocks(text: str, mark: str) -> list[tuple[str | None, str]]:
+    """Cut a schema at its lines of "=": (name behind "MSG:" or "IDL:", or None for the first; text)."""
+    blocks: list[tuple[str | None, list[str]]] = [(None, [])]
+    is_head = False
+    for line in text.splitlines():
+        stripped = line.strip()
+        if _RULE.match(stripped):
+            is_head = True
+        elif is_head and stripped.startswith(mark):
+            blocks.append((stripped.removeprefix(mark).strip(), []))
+            is_head = False
+        else:
+            is_head = is_head and not stripped
+            blocks[-1][1].append(line)
+        if len(blocks) > MAX_TYPES:
+            raise SchemaError(f"more than {MAX_TYPES} types")
+    return [(name, "\n".join(lines)) for name, lines in blocks]
+
+
+def _split(root: str, text: str) -> dict[str, Definition]:
+    found: dict[str, Definition] = {}
+    for name, block in split_blocks(text, "MSG:"):
+        if name is None:
+            sections = re.split(r"^---[ \t]*$", block, flags=re.MULTILINE)
+            if len(sections) == 2:
+                found.update(_service(root, sections))
+            elif len(sections) == 1:
+                found[root] = _definition(root, block)
+            else:
+                raise SchemaError("definitions of actions are not read")
+        else:
+            found.setdefault(name, _definition(name, block))
+    return found
+
+
+def _service(root: str, sections: list[str]) -> dict[str, Definition]:
+    base = re.sub(r"_(Event|Request|Response)\Z", "", root)
+    request, response = f"{base}_Request", f"{base}_Response"
+    event = (
+        FieldText("info", "service_msgs/msg/ServiceEventInfo", ()),
+        FieldText("request", request, (None,)),
+        FieldText("response", response, (None,)),
+    )
+    return {
+        request: _definition(request, sections[0]),
+        response: _definition(response, sections[1]),
+        f"{base}_Event": Definition(f"{base}_Event", event),
+    }
+
+
+def _definition(name: str, text: str) -> Definition:
+    fields: list[FieldText] = []
+    constants: dict[str, ConstantValue] = {}
+    for line in text.splitlines():
+        stripped = line.strip()
+        if not stripped or stripped.startswith("#"):
+            continue
+        match = _LINE.match(stripped)
+        if match is None:
+            raise SchemaError(f"the line '{stripped[:100]}' of {name} is no field")
+        if match["rest"].startswith("="):
+            value = _constant(match["type"], match["rest"][1:].strip())
+            if value is not None:
+                constants[match["name"]] = value
+            continue
+        lengths: tuple[int | None, ...] = ()
+        if match["array"]:
+            is_fixed = match["length"] and "<=" not in match["array"]
+            lengths = (int(match["length"]) if is_fixed else None,)
+        fields.append(FieldText(match["name"], match["type"], lengths))
+    return Definition(name, tuple(fields), constants_of(constants))
+
+
+def _constant(type_name: str, text: str) -> ConstantValue | None:
+    """Return a constant's value; None for what is not written as its type."""
+    if type_name in ("string", "wstring"):
+        quoted = len(text) > 1 and text[0] in "\"'" and text[-1] == text[0]
+        return text[1:-1] if quoted else text
+    text = text.partition("#")[0].strip()[:80]
+    try:
+        if type_name == "bool":
+            return text.lower() in ("true", "1")
+        return float(text) if type_name.startswith("float") else int(text, 0)
+    except ValueError:
+        return None
+
+
+def _built_in(ros: Ros) -> Mapping[str, Definition]:
+    """The types that a text may use without defining them."""
+    prefix = "" if ros is Ros.one else "builtin_interfaces/msg/"
+    time, duration = (
+        (f"{prefix}time", f"{prefix}duration") if ros is Ros.one else (f"{prefix}Time", f"{prefix}Duration")
+    )
+    built_in = [
+        Definition(time, tuple(FieldText(name, kind, ()) for name, kind in _TIME[ros])),
+        Definition(duration, tuple(FieldText(name, kind, ()) for name, kind in _DURATION[ros])),
+    ]
+    if ros is Ros.two:
+        info = (
+            FieldText("event_type", "uint8", ()),
+            FieldText("stamp", "builtin_interfaces/msg/Time", ()),
+            FieldText("client_gid", "char", (16,)),
+            FieldText("sequence_number", "int64", ()),
+        )
+        built_in.append(Definition("service_msgs/msg/ServiceEventInfo", info))
+    frame = (FieldText("stamp", time, ()), FieldText("frame_id", "string", ()))
+    if ros is Ros.one:
+        built_in.append(Definition("std_msgs/Header", (FieldText("seq", "uint32", ()), *frame)))
+    else:
+        built_in.append(Definition("std_msgs/msg/Header", frame))
+    return {definition.name: definition for definition in built_in}

@@ -1,0 +1,138 @@
+"""Decoded messages: light objects with the fields of their type.
+
+Values compare by type name and fields (arrays element by element; NaN is unequal to itself, as in Python), print like
+constructors, copy and pickle. They are the caller's to change; arrays are views of the message's bytes and read-only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any, ClassVar
+
+from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.schema import ConstantValue, Struct
+
+NS = 1_000_000_000
+Constants = tuple[tuple[str, ConstantValue], ...]
+
+
+class Value:
+    """A decoded message or a part of one: its fields are attributes, its constants are attributes of its class.
+
+    Attributes:
+        _type: the type's name as the schema has it, such as "sensor_msgs/msg/Imu".
+        _fields: the names of the fields, in the schema's order.
+    """
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]  # a value can change
+    _type: ClassVar[str] = ""
+    _fields: ClassVar[tuple[str, ...]] = ()
+    _constants: ClassVar[Constants] = ()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Value) or self._type != other._type or self._fields != other._fields:
+            return NotImplemented
+        return all(_same(getattr(self, name), getattr(other, name)) for name in self._fields)
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{name}={getattr(self, name)!r}" for name in self._fields)
+        return f"{self._type or type(self).__name__}({inside})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        values = tuple(getattr(self, name) for name in self._fields)
+        return (_rebuild, (self._type, self._fields, self._constants, values))
+
+
+def value_class(struct: Struct) -> type[Value]:
+    """Return the class of a type's values; the same for equal types."""
+    return _class(struct.name, tuple(field.name for field in struct.fields), struct.constants)
+
+
+@lru_cache(maxsize=4096)
+def _class(name: str, fields: tuple[str, ...], constants: Constants) -> type[Value]:
+    own = {"__slots__": fields, "_type": name, "_fields": fields, "_constants": constants, "__module__": __name__}
+    return type(name.rpartition("/")[2] or "Value", (Value,), {**dict(constants), **own})
+
+
+def _rebuild(name: str, fields: tuple[str, ...], constants: Constants, values: tuple[object, ...]) -> Value:
+    value = _class(name, fields, constants)()
+    for field, part in zip(fields, values, strict=True):
+        setattr(value, field, part)
+    return value
+
+
+def _same(one: object, other: object) -> bool:
+    if hasattr(one, "dtype") or hasattr(other, "dtype"):
+        import numpy as np
+
+        return np.array_equal(one, other)  # type: ignore[arg-type]  # one of the two is an array
+    return bool(one == other)
+
+
+def to_plain(value: object) -> Any:
+    """Return a decoded message of any encoding as dicts, lists, numbers, texts and bytes.
+
+    Arrays of uint8 become `bytes`, other arrays lists. Protobuf fields keep the names of their definition; those that
+    are not set are there with their default, except messages and members of a `oneof`, which are left out.
+    """
+    if isinstance(value, Value):
+        return {name: to_plain(getattr(value, name)) for name in value._fields}
+    if isinstance(value, (list, tuple)):
+        return [to_plain(part) for part in value]
+    if isinstance(value, Mapping):
+        return {key: to_plain(part) for key, part in value.items()}
+    if hasattr(value, "tolist"):
+        is_bytes = getattr(value, "dtype", None) == "uint8" or getattr(value, "typecode", None) == "B"
+        return value.tobytes() if is_bytes and hasattr(value, "tobytes") else value.tolist()
+    if hasattr(value, "DESCRIPTOR"):
+        return {name: to_plain(part) for name, part in _protobuf_fields(value)}
+    if hasattr(value, "__iter__") and not isinstance(value, (str, bytes)):
+        return [to_plain(part) for part in value]
+    return value
+
+
+def _protobuf_fields(message: Any) -> Iterator[tuple[str, object]]:
+    for field in message.DESCRIPTOR.fields:
+        if not field.has_presence or message.HasField(field.name):
+            yield field.name, getattr(message, field.name)
+
+
+def stamp_ns(value: object) -> int | None:
+    """Return the time that a message says it was taken, in nanoseconds since 1970 (of whatever clock set it).
+
+    It is taken from `header.stamp`, else from `stamp` or `timestamp`, of a ROS 1, ROS 2, JSON or protobuf message; a
+    time itself works too. None where there is none. This is not the log time.
+
+    Raises:
+        DecodeError: there is one, and it is no time.
+    """
+    return _time(_stamp(value))
+
+
+def part(value: object, name: str) -> Any:
+    """Return a field of a decoded message of any encoding, or None."""
+    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
+
+
+def _stamp(value: object) -> object:
+    header = part(value, "header")
+    for place in (header, value):
+        for name in ("stamp", "timestamp"):
+            found = part(place, name)
+            if found is not None and not callable(found):
+                return found
+    return value
+
+
+def _time(stamp: object) -> int | None:
+    for seconds, nanoseconds in (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"), ("sec", "nsec")):
+        whole, rest = part(stamp, seconds), part(stamp, nanoseconds)
+        if whole is None or rest is None:
+            continue
+        try:
+            return int(whole) * NS + int(rest)
+        except (TypeError, ValueError, OverflowError):
+            raise DecodeError("", f"'{whole!s:.40}' and '{rest!s:.40}' are no time") from None
+    return None
