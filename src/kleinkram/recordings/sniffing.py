@@ -17,7 +17,10 @@ from kleinkram.recordings.model import Problem, RecordingFormat
 from kleinkram.recordings.sources import Source
 
 HEAD_BYTES = 4096
-_SQLITE_HEAD_BYTES = 65536
+LONG_HEAD_BYTES = 65536
+RECORDINGS = frozenset((RecordingFormat.mcap, RecordingFormat.rosbag1, RecordingFormat.rosbag2_db3))
+"""Formats whose messages are read."""
+
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _MAGICS = (
     (mcap_records.MAGIC, RecordingFormat.mcap),
@@ -47,6 +50,7 @@ _CLAIMS = {
     ".ulg": {RecordingFormat.ulog},
     ".svo2": {RecordingFormat.mcap},
 }
+_ROSBAG2_TABLES = (re.compile(rb"TABLE\s+[\"'`\[]?messages\b", re.I), re.compile(rb"TABLE\s+[\"'`\[]?topics\b", re.I))
 _YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)""")
 _TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
 
@@ -60,35 +64,32 @@ def sniff(source: Source) -> RecordingFormat:
     if source.size_bytes == 0:
         return RecordingFormat.empty
     head = source.read(0, min(HEAD_BYTES, source.size_bytes))
-    kind = sniff_head(head)
-    if kind is RecordingFormat.unknown and head.startswith(_SQLITE_MAGIC):
-        head = source.read(0, min(_SQLITE_HEAD_BYTES, source.size_bytes))
-        # The schema of a database stands in its first page, as the text of the statements that made it.
-        if b"TABLE messages" in head and b"TABLE topics" in head:
-            return RecordingFormat.rosbag2_db3
-    return kind
+    if head.startswith(_SQLITE_MAGIC):
+        head = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
+    return sniff_head(head)
 
 
 def sniff_head(head: bytes) -> RecordingFormat:
-    """Say what a file is by its first bytes; databases are `unknown`."""
+    """Say what a file is by its first bytes: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else."""
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
-    return _sniff_text(head)
+    if head.startswith(_SQLITE_MAGIC):
+        # The schema of a database stands in its first page, as the text of the statements that made it.
+        is_rosbag2 = all(table.search(head) for table in _ROSBAG2_TABLES)
+        return RecordingFormat.rosbag2_db3 if is_rosbag2 else RecordingFormat.unknown
+    return _sniff_text(head[:HEAD_BYTES])
 
 
 def sniff_inside_zstd(source: Source) -> RecordingFormat:
     """Say what is in a file that is compressed as a whole; unknown if its beginning cannot be decompressed."""
-    compressed = source.read(0, min(_SQLITE_HEAD_BYTES, source.size_bytes))
+    compressed = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
     try:
         with decompressor.stream_reader(compressed) as reader:
-            head = reader.read(_SQLITE_HEAD_BYTES)
+            return sniff_head(reader.read(LONG_HEAD_BYTES))
     except zstandard.ZstdError:
         return RecordingFormat.unknown
-    if head.startswith(_SQLITE_MAGIC) and b"TABLE messages" in head:
-        return RecordingFormat.rosbag2_db3
-    return sniff_head(head[:HEAD_BYTES])
 
 
 def extension_lies(name: str, kind: RecordingFormat) -> Problem | None:

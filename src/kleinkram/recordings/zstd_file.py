@@ -1,0 +1,185 @@
+"""A recording that is compressed as a whole (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): unpacked, then read like others.
+
+What is inside goes through a temporary file, because every format is better read with its size known and more than
+once. The window and the output are bounded; where the compressed data breaks off, what came out until there is read.
+
+Source: RFC 8878; rosbag2_compression (compression mode FILE).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import PurePosixPath
+
+import zstandard
+
+from kleinkram.recordings.forward import Forward, SourceForward
+from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
+from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
+from kleinkram.recordings.sniffing import LONG_HEAD_BYTES, RECORDINGS, sniff_head
+from kleinkram.recordings.sources import FileSource
+
+FILE_ZSTD = "file-zstd"
+"""What `compression` says of a file that is compressed as a whole."""
+
+Scan = Callable[[Forward], RecordingSummary]
+
+
+class _Frames:
+    """Follows the frames of packed bytes, to know whether they end where a frame ends: zstandard does not tell.
+
+    Source: RFC 8878, section 3.1.1 (blocks) and 3.1.2 (skippable frames).
+    """
+
+    def __init__(self) -> None:
+        self._head = b""
+        self._wanted = 4
+        self._skip = 0
+        self._step: Callable[[bytes], None] = self._on_magic
+        self._checksum_bytes = 0
+
+    @property
+    def at_end_of_frame(self) -> bool:
+        """Say whether the bytes so far end with a frame."""
+        return not self._head and not self._skip and self._step == self._on_magic
+
+    def feed(self, data: bytes) -> None:
+        """Follow the next packed bytes."""
+        at = 0
+        while at < len(data):
+            if self._skip:
+                passed = min(self._skip, len(data) - at)
+                self._skip -= passed
+                at += passed
+                continue
+            piece = data[at : at + self._wanted - len(self._head)]
+            self._head += piece
+            at += len(piece)
+            if len(self._head) == self._wanted:
+                head, self._head = self._head, b""
+                self._step(head)
+
+    def _next(self, step: Callable[[bytes], None], wanted: int, *, skip: int = 0) -> None:
+        self._step, self._wanted, self._skip = step, wanted, skip
+
+    def _on_magic(self, head: bytes) -> None:
+        if head[1:] == b"\x2a\x4d\x18" and head[0] >> 4 == 5:
+            self._next(self._on_skippable, 4)
+        else:
+            self._next(self._on_descriptor, 1)
+
+    def _on_skippable(self, head: bytes) -> None:
+        self._next(self._on_magic, 4, skip=int.from_bytes(head, "little"))
+
+    def _on_descriptor(self, head: bytes) -> None:
+        size_flag, single_segment = head[0] >> 6, head[0] >> 5 & 1
+        self._checksum_bytes = 4 if head[0] & 4 else 0
+        size_bytes = (single_segment, 2, 4, 8)[size_flag]
+        self._next(self._on_block, 3, skip=(1 - single_segment) + (0, 1, 2, 4)[head[0] & 3] + size_bytes)
+
+    def _on_block(self, head: bytes) -> None:
+        block = int.from_bytes(head, "little")
+        body = 1 if block >> 1 & 3 == 1 else block >> 3
+        if block & 1:
+            self._next(self._on_magic, 4, skip=body + self._checksum_bytes)
+        else:
+            self._next(self._on_block, 3, skip=body)
+
+
+class _Unpacking:
+    """What comes out of a zstd file, in order, up to its end or to where it is damaged.
+
+    Attributes:
+        fault: once nothing more comes out, why it is not all, in words.
+        packed_bytes: bytes of the file read so far.
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        self.fault: str | None = None
+        self.packed_bytes = 0
+        self._forward = forward
+        self._frames = _Frames()
+        self._pieces = self._unpack()
+        self._left = b""
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes, at most `length`; b"" at the end."""
+        if not self._left:
+            self._left = next(self._pieces, b"")
+        piece, self._left = self._left[:length], self._left[length:]
+        return piece
+
+    def peek(self, length: int) -> bytes:
+        """Return the next bytes without passing them."""
+        while len(self._left) < length and (piece := next(self._pieces, b"")):
+            self._left += piece
+        return self._left[:length]
+
+    def _unpack(self) -> Iterator[bytes]:
+        """Yield pieces of bounded size: what unpacks to a thousand times its size does so in small steps."""
+        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+        reader = decompressor.stream_reader(_Packed(self._next_packed), read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
+        try:
+            while piece := reader.read(WINDOW):
+                yield piece
+        except zstandard.ZstdError as error:
+            # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
+            # whether there was enough is tried out, and a MemoryError says that there was not.
+            bytearray(MAX_ZSTD_WINDOW)
+            self.fault = f"its zstd data is damaged within the first {self.packed_bytes} bytes ({error})"
+            return
+        if not self._frames.at_end_of_frame:
+            self.fault = f"its zstd data breaks off at byte {self.packed_bytes}"
+
+    def _next_packed(self, length: int) -> bytes:
+        data = self._forward.read(length)
+        self.packed_bytes += len(data)
+        self._frames.feed(data)
+        return data
+
+
+class _Packed:
+    """The little of a file that zstandard's reader asks for."""
+
+    def __init__(self, read: Callable[[int], bytes]) -> None:
+        self.read = read
+
+
+def scan_zstd_file(forward: Forward, scan: Scan) -> RecordingSummary:
+    """Read a file that is compressed as a whole; `scan` reads what is inside, under its name without `.zstd`.
+
+    `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
+    `recovered` as far as it unpacks.
+
+    Raises:
+        SourceError: as `Forward.read`, or the unpacked copy cannot be written.
+    """
+    unpacking = _Unpacking(forward)
+    kind = sniff_head(unpacking.peek(LONG_HEAD_BYTES))
+    if kind not in RECORDINGS:
+        return _not_a_recording(kind, unpacking)
+    try:
+        with temporary_copy(unpacking.read) as path, FileSource(path) as source:
+            inner = SourceForward(source, path=path)
+            inner.name = PurePosixPath(forward.name).stem
+            summary = scan(inner)
+    except TooLarge as error:
+        return RecordingSummary(kind, Content.pending, str(error), compression=(FILE_ZSTD,))
+    compression = tuple(sorted({FILE_ZSTD, *summary.compression} - {"none"}))
+    summary = replace(summary, compression=compression, bytes_read=forward.size_bytes, depth=Depth.scan)
+    return _with_fault(summary, unpacking) if unpacking.fault else summary
+
+
+def _not_a_recording(kind: RecordingFormat, unpacking: _Unpacking) -> RecordingSummary:
+    if unpacking.fault and kind in (RecordingFormat.unknown, RecordingFormat.empty):
+        return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacking.fault, depth=Depth.scan)
+    reason = f"compressed as a whole; inside is {kind.value}"
+    return RecordingSummary(RecordingFormat.zstd, Content.opaque, reason, depth=Depth.scan)
+
+
+def _with_fault(summary: RecordingSummary, unpacking: _Unpacking) -> RecordingSummary:
+    inside = f"; inside: {summary.reason}" if summary.reason else ""
+    content = Content.recovered if summary.content is Content.indexed else summary.content
+    return replace(summary, content=content, reason=f"{unpacking.fault}{inside}", lost=summary.lost or Lost(0, 0, None))
