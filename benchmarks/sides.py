@@ -101,7 +101,7 @@ async def _prepare_one(storage: Storage, path: Path, size_bytes: int) -> _RawFil
             body = stream.read(part_bytes)
             whole = crc64nvme(body, whole)
             target = PartTarget(key, multipart_id, number, len(body), crc64nvme(body).to_bytes(8, "big").hex())
-            parts.append(_RawPart(path, offset, await storage.sign_part(target, expires_s=3600)))
+            parts.append(_RawPart(path, offset, storage.sign_part(target, expires_s=3600)))
     return _RawFile(key, multipart_id, whole.to_bytes(8, "big"), parts)
 
 

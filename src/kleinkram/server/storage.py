@@ -7,7 +7,7 @@ called inside a database transaction. Keys are opaque, and an object is never wr
 import asyncio
 import base64
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,13 +20,9 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, HeldPart
 from kleinkram.server.settings import Settings
+from kleinkram.server.signing import Presigner
 
 READ_BYTES = 1024 * 1024
-_PARAMETERS = {
-    ChecksumKind.crc64nvme: "ChecksumCRC64NVME",
-    ChecksumKind.sha256: "ChecksumSHA256",
-    ChecksumKind.md5: "ContentMD5",
-}
 _HEADERS = {
     ChecksumKind.crc64nvme: "x-amz-checksum-crc64nvme",
     ChecksumKind.sha256: "x-amz-checksum-sha256",
@@ -88,13 +84,21 @@ class Abilities:
     writes_once: bool
 
 
+@dataclass(frozen=True)
+class Signers:
+    """What signs for clients and what signs for this server's own processes: each reaches the store by its address."""
+
+    public: Presigner
+    internal: Presigner
+
+
 class Storage:
     """One bucket of one store."""
 
-    def __init__(self, internal: Any, public: Any, bucket: str, abilities: Abilities) -> None:
+    def __init__(self, client: Any, signers: Signers, bucket: str, abilities: Abilities) -> None:
         # Any: botocore builds its clients from data at run time.
-        self._internal = internal
-        self._public = public
+        self._client = client
+        self._signers = signers
         self.bucket = bucket
         self.abilities = abilities
 
@@ -143,26 +147,20 @@ class Storage:
                 return parts
             marker = int(answer["NextPartNumberMarker"])
 
-    async def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
+    def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
         """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused.
 
         The address of a whole object is good for one write where the store can promise that, so that it cannot be used
         to replace what was proven meanwhile. A part's dies with its multipart upload.
         """
         checksum = base64.b64encode(bytes.fromhex(target.checksum)).decode()
-        parameters: dict[str, Any] = {
-            "Bucket": self.bucket,
-            "Key": target.key,
-            "ContentLength": target.size_bytes,
-            _PARAMETERS[self.checksum]: checksum,
-        }
-        if target.multipart_id is not None:
-            parameters |= {"UploadId": target.multipart_id, "PartNumber": target.number}
         headers = {_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)}
-        if target.multipart_id is None and self.abilities.writes_once:
-            parameters["IfNoneMatch"] = headers["If-None-Match"] = "*"
-        operation = "put_object" if target.multipart_id is None else "upload_part"
-        url = await self._public.generate_presigned_url(operation, Params=parameters, ExpiresIn=round(expires_s))
+        query = {}
+        if target.multipart_id is not None:
+            query = {"uploadId": target.multipart_id, "partNumber": str(target.number)}
+        elif self.abilities.writes_once:
+            headers["If-None-Match"] = "*"
+        url = self._signers.public.sign("PUT", target.key, query=query, headers=headers, expires_s=expires_s)
         return Signed(url, headers)
 
     async def complete_multipart(self, key: str, multipart_id: str, *, crc64nvme: bytes) -> None:
@@ -224,22 +222,15 @@ class Storage:
         answer = await self._call("list_multipart_uploads", Bucket=self.bucket, Prefix=prefix)
         return [(entry["Key"], entry["UploadId"]) for entry in answer.get("Uploads", [])]
 
-    async def sign_read(self, key: str, *, path: str, expires_s: float) -> str:
+    def sign_read(self, key: str, *, path: str, expires_s: float) -> str:
         """Return where a client reads an object, whole or by ranges; a browser saves it under the file's name."""
         quoted = file_name(path).encode("ascii", "replace").decode().replace('"', "_").replace("?", "_")
-        parameters = {
-            "Bucket": self.bucket,
-            "Key": key,
-            "ResponseContentDisposition": f'attachment; filename="{quoted}"',
-        }
-        url = await self._public.generate_presigned_url("get_object", Params=parameters, ExpiresIn=round(expires_s))
-        return str(url)
+        query = {"response-content-disposition": f'attachment; filename="{quoted}"'}
+        return self._signers.public.sign("GET", key, query=query, headers={}, expires_s=expires_s)
 
-    async def sign_internal_read(self, key: str, *, expires_s: float) -> str:
+    def sign_internal_read(self, key: str, *, expires_s: float) -> str:
         """Return where a process of this server, without credentials, reads an object by ranges."""
-        parameters = {"Bucket": self.bucket, "Key": key}
-        url = await self._internal.generate_presigned_url("get_object", Params=parameters, ExpiresIn=round(expires_s))
-        return str(url)
+        return self._signers.internal.sign("GET", key, query={}, headers={}, expires_s=expires_s)
 
     async def read(self, key: str) -> AsyncIterator[bytes]:
         """Stream an object in pieces of at most 1 MiB.
@@ -277,11 +268,11 @@ class Storage:
 
     def proving_by(self, checksum: ChecksumKind) -> "Storage":
         """Return the same store, asked for another kind of proof."""
-        return Storage(self._internal, self._public, self.bucket, replace(self.abilities, checksum=checksum))
+        return Storage(self._client, self._signers, self.bucket, replace(self.abilities, checksum=checksum))
 
     def with_abilities(self, abilities: Abilities) -> "Storage":
         """Return the same store, of which more is known."""
-        return Storage(self._internal, self._public, self.bucket, abilities)
+        return Storage(self._client, self._signers, self.bucket, abilities)
 
     async def delete(self, key: str) -> None:
         """Delete an object; nothing happens where there is none."""
@@ -289,7 +280,7 @@ class Storage:
 
     async def _call(self, operation: str, **arguments: Any) -> dict[str, Any]:
         try:
-            answer: dict[str, Any] = await getattr(self._internal, operation)(**arguments)
+            answer: dict[str, Any] = await getattr(self._client, operation)(**arguments)
         except ClientError as error:
             raise _refusal(error, operation) from error
         except (BotoCoreError, HttpError, asyncio.TimeoutError, OSError) as error:
@@ -317,14 +308,18 @@ def _refusal(error: ClientError, operation: str) -> Exception:
     return StoreUnavailable(reason=f"{operation}: {code}")
 
 
-def _client_arguments(settings: Settings, url: str) -> dict[str, Any]:
-    return {
-        "endpoint_url": url,
-        "region_name": settings.s3_region,
-        "aws_access_key_id": settings.s3_access_key,
-        "aws_secret_access_key": settings.s3_secret_key.get_secret_value(),
-        "verify": str(settings.s3_ca_file) if settings.s3_ca_file else None,
-        "config": AioConfig(
+@asynccontextmanager
+async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
+    """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
+    signers = Signers(Presigner(settings, settings.store_public_url), Presigner(settings, settings.s3_internal_url))
+    opening = get_session().create_client(
+        "s3",
+        endpoint_url=settings.s3_internal_url,
+        region_name=settings.s3_region,
+        aws_access_key_id=settings.s3_access_key,
+        aws_secret_access_key=settings.s3_secret_key.get_secret_value(),
+        verify=str(settings.s3_ca_file) if settings.s3_ca_file else None,
+        config=AioConfig(
             signature_version="s3v4",
             s3={"addressing_style": "path"},
             request_checksum_calculation="when_required",
@@ -334,19 +329,6 @@ def _client_arguments(settings: Settings, url: str) -> dict[str, Any]:
             max_pool_connections=32,
             retries={"max_attempts": 3, "mode": "standard"},
         ),
-    }
-
-
-@asynccontextmanager
-async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
-    """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
-    session = get_session()
-    async with AsyncExitStack() as stack:
-        internal = await stack.enter_async_context(
-            session.create_client("s3", **_client_arguments(settings, settings.s3_internal_url))
-        )
-        public = internal
-        if settings.store_public_url != settings.s3_internal_url:
-            arguments = _client_arguments(settings, settings.store_public_url)
-            public = await stack.enter_async_context(session.create_client("s3", **arguments))
-        yield Storage(internal, public, settings.s3_bucket, Abilities(ChecksumKind.md5, writes_once=False))
+    )
+    async with opening as client:
+        yield Storage(client, signers, settings.s3_bucket, Abilities(ChecksumKind.md5, writes_once=False))

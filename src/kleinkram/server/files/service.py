@@ -176,7 +176,7 @@ async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID])
                 raise FileUnavailable(path=row.path, state=row.state)
         events = [Event("file.download", "file", row.id, row.path, row.project_id) for row in rows]
         await record_all(db, actor, events)
-    return [await _link(site, row) for row in rows]
+    return [_link(site, row) for row in rows]
 
 
 async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
@@ -232,10 +232,10 @@ def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
     )
 
 
-async def _link(site: Site, row: Row[Any]) -> DownloadLink:
+def _link(site: Site, row: Row[Any]) -> DownloadLink:
     expires_s = site.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    url = await site.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    url = site.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
     seen = queries.to_file(row)
     return DownloadLink(
         file_id=seen.id,

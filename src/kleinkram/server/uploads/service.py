@@ -305,7 +305,7 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
             statement = update(upload).where(upload.c.id == bindparam("b_id"))
             await db.execute(statement.values(signed_checksum=bindparam("b_checksum")), whole)
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
-    return [await _sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
+    return [_sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
 
 
 def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
@@ -332,11 +332,11 @@ def expected_part_bytes(row: Row[Any], number: int) -> int:
     return int(min(row.part_size_bytes, row.size_bytes - (number - 1) * row.part_size_bytes))
 
 
-async def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
+def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
     size_bytes = expected_part_bytes(row, part.number)
     target = PartTarget(row.key, row.multipart_id, part.number, size_bytes, part.checksum)
     storage = site.storage.proving_by(ChecksumKind(row.checksum))
-    signed = await storage.sign_part(target, expires_s=site.settings.part_url_s)
+    signed = storage.sign_part(target, expires_s=site.settings.part_url_s)
     return SignedPart(
         upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
     )

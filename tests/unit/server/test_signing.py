@@ -1,0 +1,91 @@
+"""Addresses signed here are those that the S3 library signs."""
+
+import asyncio
+import datetime
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from aiobotocore.config import AioConfig
+from aiobotocore.session import get_session
+
+from kleinkram.server.settings import Settings
+from kleinkram.server.signing import Presigner
+
+STORES = (
+    "http://127.0.0.1:9333",
+    "https://lab.example.org/s3/",
+    "https://[::1]:8443",
+    "http://Lab:80",
+    "https://lab:80",
+)
+REQUESTS = [
+    (
+        "put_object",
+        {"ContentLength": 5, "ChecksumCRC64NVME": "+/v7+/v7+/s=", "IfNoneMatch": "*"},
+        {},
+        {"Content-Length": "5", "x-amz-checksum-crc64nvme": "+/v7+/v7+/s=", "If-None-Match": "*"},
+    ),
+    (
+        "upload_part",
+        {"ContentLength": 0, "ContentMD5": "MD5/+==", "UploadId": "an/id+1~ x", "PartNumber": 7},
+        {"uploadId": "an/id+1~ x", "partNumber": "7"},
+        {"Content-Length": "0", "Content-MD5": "MD5/+=="},
+    ),
+    (
+        "get_object",
+        {"ResponseContentDisposition": 'attachment; filename="a_ b&c+=%.bag"'},
+        {"response-content-disposition": 'attachment; filename="a_ b&c+=%.bag"'},
+        {},
+    ),
+    ("get_object", {}, {}, {}),
+]
+
+
+def _settings(store: str) -> Settings:
+    said = {"database_url": "postgresql://a@b/c", "s3_internal_url": store, "s3_bucket": "buck-et"}
+    return Settings.model_validate({**said, "s3_access_key": "AK/ID+", "s3_secret_key": "se/cr+et"})
+
+
+async def _by_library(store: str, operation: str, parameters: dict[str, object], key: str) -> str:
+    client = get_session().create_client(
+        "s3",
+        endpoint_url=store,
+        region_name="us-east-1",
+        aws_access_key_id="AK/ID+",
+        aws_secret_access_key="se/cr+et",
+        config=AioConfig(
+            signature_version="s3v4",
+            s3={"addressing_style": "path"},
+            request_checksum_calculation="when_required",
+        ),
+    )
+    async with client as s3:
+        asked = {"Bucket": "buck-et", "Key": key, **parameters}
+        return str(await s3.generate_presigned_url(operation, Params=asked, ExpiresIn=900))
+
+
+@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize(("operation", "parameters", "query", "headers"), REQUESTS)
+def test_the_library_signs_the_same(
+    store: str, operation: str, parameters: dict[str, object], query: dict[str, str], headers: dict[str, str]
+) -> None:
+    key = "batch/a b+c~%é.bin"
+    theirs = urlsplit(asyncio.run(_by_library(store, operation, parameters, key)))
+    said = parse_qs(theirs.query, strict_parsing=True)
+    at = datetime.datetime.strptime(said["X-Amz-Date"][0], "%Y%m%dT%H%M%S%z")
+    method = "GET" if operation == "get_object" else "PUT"
+    url = Presigner(_settings(store), store).sign(method, key, query=query, headers=headers, expires_s=900, at=at)
+    ours = urlsplit(url)
+    assert (ours.scheme, ours.netloc, ours.path) == (theirs.scheme, theirs.netloc, theirs.path)
+    assert parse_qs(ours.query, strict_parsing=True) == said
+
+
+def test_the_key_of_one_day_does_not_sign_the_next() -> None:
+    store = STORES[0]
+    signer = Presigner(_settings(store), store)
+    days = [datetime.datetime(2026, 12, 31 - back, 23, 59, tzinfo=datetime.timezone.utc) for back in (1, 0, 1)]
+
+    def sign(signer: Presigner, at: datetime.datetime) -> str:
+        return signer.sign("GET", "a/b", query={}, headers={}, expires_s=60, at=at)
+
+    assert [sign(signer, at) for at in days] == [sign(Presigner(_settings(store), store), at) for at in days]
