@@ -9,6 +9,7 @@ from procrastinate import PsycopgConnector
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs import worker
+from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
@@ -30,12 +31,14 @@ async def _drain(site: Site) -> None:
     connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
         async with app.open_async(), Readers() as readers:
+            courtesy = Courtesy(site.database, site.settings)
+            courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
             await app.run_worker_async(
                 wait=False,
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
-                additional_context={"site": site, "readers": readers},
+                additional_context={"site": site, "readers": readers, "courtesy": courtesy},
             )
 
 

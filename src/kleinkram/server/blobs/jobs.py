@@ -17,7 +17,8 @@ from kleinkram.contract.names import file_name
 from kleinkram.recordings import FailureKind, RecordingSummary, SummaryFailed, UrlRequest, request_bytes
 from kleinkram.server.blobs import service
 from kleinkram.server.blobs.reading import Readers
-from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, given, site_of
+from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, given, site_of
+from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.recordings.service import regroup_forgotten
@@ -37,6 +38,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
         row = await service.get_blob(db, blob_id)
     if row is None or row.path is None or row.store_id != site.settings.store_id:
         return
+    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
     try:
         summary = await _summary(site, given(context, "readers", Readers), row)
     except SummaryFailed as failure:
@@ -56,7 +58,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
 
 async def _summary(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -> RecordingSummary:
     timeout_s = site.settings.summary_timeout_s
-    url = await site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
+    url = site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
     request = request_bytes(
         UrlRequest(url, row.size_bytes, file_name(row.path)),
         memory_bytes=site.settings.summary_memory_bytes,
@@ -74,6 +76,7 @@ async def prove_blob(context: JobContext, ref: str) -> None:
         row = await service.get_blob(db, blob_id)
     if row is None or row.store_id != site.settings.store_id:
         return
+    await courtesy_of(context).give_way(PROOF_PATIENCE_S, since=row.created_at)
     try:
         found = await _read_through(site, row.key)
     except FileNotFoundError:

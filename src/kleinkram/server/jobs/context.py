@@ -4,6 +4,7 @@ from typing import TypeVar
 
 from procrastinate import JobContext, RetryStrategy
 
+from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.site import Site
 
 T = TypeVar("T")
@@ -23,3 +24,8 @@ def given(context: JobContext, name: str, kind: type[T]) -> T:
 def site_of(context: JobContext) -> Site:
     """Return the job's way to database and store."""
     return given(context, "site", Site)
+
+
+def courtesy_of(context: JobContext) -> Courtesy:
+    """Return what makes the job wait while uploads come in."""
+    return given(context, "courtesy", Courtesy)

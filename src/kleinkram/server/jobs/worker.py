@@ -15,6 +15,7 @@ import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
+from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.queue import DEFAULT, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.settings import Settings, plain_dsn
@@ -49,7 +50,8 @@ async def _open_and_run(settings: Settings) -> None:
 async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings, statement_timeout_s=None)
     async with app.open_async(), open_storage(settings) as storage, Readers() as readers:
-        given = {"site": Site(database, storage, settings), "readers": readers}
+        courtesy = Courtesy(database, settings)
+        given = {"site": Site(database, storage, settings), "readers": readers, "courtesy": courtesy}
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             asyncio.create_task(_work(app, given, lane=DEFAULT, at_once=_AT_ONCE)),
@@ -62,6 +64,7 @@ async def _run(app: App, settings: Settings) -> None:
             for task in done:
                 task.result()
         finally:
+            courtesy.end()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

@@ -9,7 +9,8 @@ from procrastinate import JobContext
 from sqlalchemy import Row
 
 from kleinkram.recordings import Rosbag2Metadata, group, parse_rosbag2_metadata
-from kleinkram.server.jobs.context import PATIENTLY, site_of
+from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, site_of
+from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.recordings import deriving
 from kleinkram.server.site import Site
@@ -23,6 +24,7 @@ async def group_recordings(context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
     site = site_of(context)
     mission_id = uuid.UUID(ref)
+    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S)
     async with site.database.begin() as db:
         await db.execute(deriving.lock_mission(mission_id))
         rows = await deriving.live_files(db, mission_id)
