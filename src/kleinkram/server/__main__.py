@@ -2,7 +2,11 @@
 
 import argparse
 import asyncio
+import contextlib
+import gc
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from kleinkram.server.logs import set_up_logs
@@ -34,6 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     api.add_argument("--port", type=int, default=8000)
     api.add_argument("--tls-cert", type=Path)
     api.add_argument("--tls-key", type=Path)
+    api.add_argument("--when-told", action="store_true", help="load, then wait for a line on stdin before serving")
     return parser
 
 
@@ -47,7 +52,8 @@ def _migrate(settings: Settings) -> None:
 
 
 def _work(settings: Settings) -> None:
-    from kleinkram.server.jobs.worker import run_worker
+    with _loading():
+        from kleinkram.server.jobs.worker import run_worker
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
     os.nice(_NICENESS)
@@ -55,12 +61,16 @@ def _work(settings: Settings) -> None:
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
-    import uvicorn
+    with _loading():
+        import uvicorn
 
-    from kleinkram.server.app import create_app
+        from kleinkram.server.app import create_app
 
+        app = create_app(settings)
+    if arguments.when_told and not sys.stdin.readline():
+        return  # who would have told has ended
     uvicorn.run(
-        create_app(settings),
+        app,
         host=arguments.host,
         port=arguments.port,
         ssl_certfile=arguments.tls_cert,
@@ -70,6 +80,15 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         server_header=False,
         timeout_graceful_shutdown=10,
     )
+
+
+@contextlib.contextmanager
+def _loading() -> Iterator[None]:
+    """Collect no garbage meanwhile, and never look again at what was loaded: it stays, and there is much of it."""
+    gc.disable()
+    yield
+    gc.freeze()
+    gc.enable()
 
 
 if __name__ == "__main__":

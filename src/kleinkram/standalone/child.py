@@ -4,6 +4,7 @@ Every child asks the kernel to be signalled when the *thread* that started it en
 be started from a thread that lives as long as they may: the main thread. Never signals a process it did not start.
 """
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -37,6 +38,7 @@ class Command:
     """A program to start.
 
     `death_signal` is what it gets when its parent thread dies. `log` receives stdout and stderr, appended.
+    `waits`: it reads a line from stdin before it begins, which `tell` writes.
     """
 
     arguments: Sequence[str]
@@ -46,6 +48,7 @@ class Command:
     directory: Path = Path("/")
     death_signal: signal.Signals = signal.SIGKILL
     identity: Identity = CALLER
+    waits: bool = False
 
 
 def spawn(command: Command) -> "subprocess.Popen[bytes]":
@@ -59,7 +62,7 @@ def spawn(command: Command) -> "subprocess.Popen[bytes]":
     try:
         return subprocess.Popen(
             list(command.arguments),
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if command.waits else subprocess.DEVNULL,
             stdout=descriptor,
             stderr=descriptor,
             env=environment,
@@ -69,6 +72,16 @@ def spawn(command: Command) -> "subprocess.Popen[bytes]":
         )
     finally:
         os.close(descriptor)
+
+
+def tell(child: "subprocess.Popen[bytes]") -> None:
+    """Let a child begin that waits; nothing happens where it does not, or has begun or ended."""
+    if child.stdin is not None and not child.stdin.closed:
+        with contextlib.suppress(BrokenPipeError):
+            child.stdin.write(b"begin\n")
+            child.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):
+            child.stdin.close()
 
 
 def stop(child: "subprocess.Popen[bytes]", *, sign: signal.Signals, timeout_s: float) -> None:

@@ -55,6 +55,7 @@ class Plan:
             log=self.data_dir.log(name),
             environment=environment,
             directory=self.data_dir.root,
+            waits=name == "api",
         )
 
     def door(self) -> Command | None:
@@ -70,8 +71,8 @@ class Plan:
         )
 
     def api_arguments(self) -> list[str]:
-        """Where the API listens."""
-        arguments = ["--host", self.listening.address, "--port", str(self.ports["api"])]
+        """Where the API listens, and that it waits for a word before it looks for database and store."""
+        arguments = ["--when-told", "--host", self.listening.address, "--port", str(self.ports["api"])]
         if self.listening.tls:
             certificate, key = self.listening.tls
             arguments += ["--tls-cert", str(certificate), "--tls-key", str(key)]

@@ -72,6 +72,7 @@ class Supervisor:
         self.plan = plan
         self.parts: dict[str, RunningPart] = {}
         self.started_at = datetime.now(timezone.utc)
+        self._api_may_begin = False
 
     def start(self) -> None:
         """Start all parts; returns when the API has answered that all is ready.
@@ -82,9 +83,11 @@ class Supervisor:
         """
         plan = self.plan
         _warn_of_listening(plan)
+        # What takes long goes side by side: the store's start, PostgreSQL's, and the API's loading.
         self._launch("store", lambda: store.start(plan.store), stop_signal=store.STOP_SIGNAL)
         postgres.initialise(plan.postgres)
         database = self._launch("postgres", lambda: postgres.start(plan.postgres), stop_signal=postgres.STOP_SIGNAL)
+        api = self._launch("api", self._start_api)
         self._wait(lambda: postgres.is_ready(plan.postgres, database.child), database)
         postgres.prepare_database(plan.postgres)
         self._migrate()
@@ -92,8 +95,9 @@ class Supervisor:
         if door := plan.door():
             self._launch("door", lambda: child.spawn(door))
             self._wait(lambda: health.answers(local_store_url(plan)), self.parts["door"])
-        self._launch("api", lambda: child.spawn(plan.server_process("api", *plan.api_arguments())))
-        self._wait(lambda: health.is_ready(local_url(plan)), self.parts["api"])
+        self._api_may_begin = True
+        child.tell(api.child)
+        self._wait(lambda: health.is_ready(local_url(plan)), api)
         # Last: nobody waits for it, and its imports would take their share of the time to the first answer.
         self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
         note_version(plan.data_dir)
@@ -128,6 +132,12 @@ class Supervisor:
         part = Part(name, start, self.plan.data_dir.log(name), stop_signal, _STOP_TIMEOUTS_S.get(name, 15.0))
         self.parts[name] = launch(part)
         return self.parts[name]
+
+    def _start_api(self) -> "subprocess.Popen[bytes]":
+        api = child.spawn(self.plan.server_process("api", *self.plan.api_arguments()))
+        if self._api_may_begin:
+            child.tell(api)
+        return api
 
     def _wait(self, ready: Callable[[], bool], running: RunningPart) -> None:
         """Wait for a part, and see that it and those before it live."""

@@ -42,7 +42,9 @@ def main() -> None:
     name, rest = sys.argv[1], sys.argv[2:]
     _note_environment(name)
     if name == "api":
-        _serve(dict(zip(rest[::2], rest[1::2], strict=True)))
+        assert rest.pop(0) == "--when-told"
+        if sys.stdin.readline():
+            _serve(dict(zip(rest[::2], rest[1::2], strict=True)))
     elif name == "worker":
         subprocess.Popen(["sleep", "1000"])
         signal.pause()

@@ -141,8 +141,11 @@ def test_a_stop_during_the_start_leaves_nothing(instance: Instance) -> None:
     assert instance.processes == []
 
 
-def test_a_server_that_cannot_start_is_named_with_its_log(instance: Instance) -> None:
-    said = instance.refused(server=("/bin/sh", "-c", "echo no such thing >&2; exit 3"))
-    assert "The part 'migrate' ended (exit code 3)" in said
+@pytest.mark.parametrize("failing", ["migrate", "api"])
+def test_a_server_that_cannot_start_is_named_with_its_log(instance: Instance, failing: str) -> None:
+    # What is not to fail waits, as the API does until it is told to begin.
+    script = f'if [ "$0" = {failing} ]; then echo no such thing >&2; exit 3; fi; [ "$0" != api ] || exec sleep 1000'
+    said = instance.refused(server=("/bin/sh", "-c", script))
+    assert f"The part '{failing}' ended (exit code 3)" in said
     assert "its last line: no such thing" in said
     assert instance.processes == []
