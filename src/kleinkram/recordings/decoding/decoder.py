@@ -8,8 +8,10 @@ from functools import lru_cache
 
 from kleinkram.recordings.decoding.errors import DecodeError, SchemaError, Undecodable
 from kleinkram.recordings.decoding.generate import Decode, generate
+from kleinkram.recordings.decoding.idl_text import parse_idl
 from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
 from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
+from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
 from kleinkram.recordings.decoding.schema import Struct
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
 
@@ -44,21 +46,31 @@ def decoder_for(
     if len(schema_data) > MAX_SCHEMA_BYTES:
         return Undecodable(schema_name, f"its schema has {len(schema_data)} bytes; at most {MAX_SCHEMA_BYTES} are read")
     try:
-        if message_encoding == "ros1" and schema_encoding == "ros1msg":
-            struct = parse_msg(schema_name, _text(schema_data), Ros.one)
-            return Decoder(schema_name, message_encoding, generate(struct, ROS1), struct)
-        if message_encoding == "cdr" and schema_encoding == "ros2msg":
-            struct = parse_msg(schema_name, _text(schema_data), Ros.two)
-            return Decoder(schema_name, message_encoding, _cdr(struct), struct)
+        return _decoder(message_encoding, schema_name, schema_encoding, schema_data)
     except SchemaError as error:
         return Undecodable(schema_name, f"its schema cannot be read: {error}")
-    return Undecodable(
-        schema_name, f"messages encoded as '{message_encoding}' with a schema in '{schema_encoding}' are not decoded"
-    )
 
 
-def _text(data: bytes) -> str:
-    return data.decode("utf-8", "replace")
+def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes) -> Decoder | Undecodable:
+    if message_encoding == "json":
+        return Decoder(name, message_encoding, json_decode(name), None)
+    if message_encoding == "protobuf" and schema_encoding == "protobuf":
+        return Decoder(name, message_encoding, protobuf_decode(name, data), None)
+    parse = _PARSERS.get((message_encoding, schema_encoding))
+    if parse is None:
+        how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"
+        return Undecodable(name, f"messages encoded as '{message_encoding}' {how} are not decoded")
+    struct = parse(name, data.decode("utf-8", "replace"))
+    decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
+    return Decoder(name, message_encoding, decode, struct)
+
+
+_PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {
+    ("ros1", "ros1msg"): lambda name, text: parse_msg(name, text, Ros.one),
+    ("cdr", "ros2msg"): lambda name, text: parse_msg(name, text, Ros.two),
+    ("cdr", "ros2idl"): parse_idl,
+    ("cdr", "omgidl"): parse_idl,
+}
 
 
 def _cdr(struct: Struct) -> Decode:

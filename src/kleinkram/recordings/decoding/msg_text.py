@@ -85,7 +85,7 @@ def split_blocks(text: str, mark: str) -> list[tuple[str | None, str]]:
     """Cut a schema at its lines of "=": (name behind "MSG:" or "IDL:", or None for the first; text)."""
     blocks: list[tuple[str | None, list[str]]] = [(None, [])]
     is_head = False
-    for line in text.splitlines():
+    for line in text.split("\n"):
         stripped = line.strip()
         if _RULE.match(stripped):
             is_head = True
@@ -134,7 +134,7 @@ def _service(root: str, sections: list[str]) -> dict[str, Definition]:
 def _definition(name: str, text: str) -> Definition:
     fields: list[FieldText] = []
     constants: dict[str, ConstantValue] = {}
-    for line in text.splitlines():
+    for line in text.split("\n"):
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
             continue
