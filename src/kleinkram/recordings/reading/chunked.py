@@ -1,0 +1,235 @@
+"""One file made of chunks (MCAP, ROS 1 bag): from its table of chunks to messages in the order of time.
+
+Only chunks that may hold what is wanted are read. The next ones are fetched, decompressed and checked meanwhile, as
+far ahead as `do_ahead` allows. A chunk that fails its checksum or cannot be decompressed is left out and named in the
+problems; one larger than `MAX_CHUNK_HELD` goes through a temporary file.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from operator import itemgetter
+
+from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.limits import MAX_READ, WINDOW
+from kleinkram.recordings.reading.ahead import Job, do_ahead
+from kleinkram.recordings.reading.chunk_table import CHUNK, RECORDS, ChunkHead, ChunkTable, Row
+from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
+from kleinkram.recordings.reading.model import Channel, Selection
+from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.unpacking import MAX_CHUNK_HELD, Buffer, limited, unpack
+from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
+from kleinkram.recordings.sources import FileSource, Source
+from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
+
+MAX_MESSAGE = 64 * 2**20
+"""Bytes of one message; a larger one is left out."""
+
+MAX_AHEAD = 32 * 2**20
+"""Bytes of chunks that are fetched and decompressed ahead."""
+
+_GROUP_BYTES = 4 * 2**20
+_HEAD_BYTES = 4096
+_log_time = itemgetter(1)
+
+
+@dataclass(frozen=True)
+class ChunkFormat:
+    """How one format writes chunks and messages.
+
+    Attributes:
+        open_chunk: reads a chunk's record up to its stored bytes.
+        parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
+        table_of_records: where messages stand in the content of a chunk that is too large to hold.
+    """
+
+    open_chunk: Callable[[ForwardStream], ChunkHead]
+    parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
+    table_of_records: Callable[[ForwardStream], ChunkTable]
+
+
+@dataclass(frozen=True)
+class ChunkedFile:
+    """A file, where its chunks are, and who writes in them."""
+
+    source: Source
+    format: ChunkFormat
+    table: ChunkTable
+    channels: Mapping[int, Channel]
+    noticed: Noticed
+
+
+Loaded = Buffer | Malformed | None
+"""The content of a chunk; why there is none; None: it is too large to be held."""
+
+
+def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
+    """Yield the chunks that may hold what is wanted, by their first time, to be opened in this order."""
+    wanted = {
+        number: channel
+        for number, channel in file.channels.items()
+        if selection.topics is None or channel.topic in selection.topics
+    }
+    numbers = file.table.select(selection, frozenset(wanted))
+    reader = _Reader(file, wanted, selection)
+    loaded = reader.load_ahead(numbers)
+    for number in numbers:
+        row = file.table.rows[number]
+
+        def open_next(row: Row = row) -> Run:
+            return reader.open(row, next(loaded))
+
+        def read_again(row: Row = row) -> Block:
+            return reader.read_again(row)
+
+        is_small = row.kind == CHUNK and row.uncompressed_bytes <= MAX_CHUNK_HELD
+        yield Piece(
+            max(row.first_ns, selection.start_ns), (*order, number), open_next, read_again if is_small else None
+        )
+
+
+class _Reader:
+    def __init__(self, file: ChunkedFile, wanted: Mapping[int, Channel], selection: Selection) -> None:
+        self._file = file
+        self._wanted = wanted
+        self._selection = selection
+
+    def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
+        workers: int = getattr(self._file.source, "parallel_reads", 1)
+        for group in do_ahead(self._jobs(numbers, together=workers > 1), workers=workers, most_bytes=MAX_AHEAD):
+            yield from group
+
+    def _jobs(self, numbers: Iterable[int], *, together: bool) -> Iterator[Job[list[Loaded]]]:
+        """Yield what is to be fetched; over a network, chunks that stand behind each other are fetched together."""
+        group: list[Row] = []
+        size, previous, alone = 0, -1, True
+        for number in numbers:
+            row = self._file.table.rows[number]
+            joins = together and not alone and number == previous + 1 and row.start - group[0].start < _GROUP_BYTES
+            if group and not joins:
+                yield self._job(group, size)
+                alone = False
+                group, size = [], 0
+            group.append(row)
+            size += min(row.length + row.uncompressed_bytes, MAX_CHUNK_HELD)
+            previous = number
+        if group:
+            yield self._job(group, size)
+
+    def _job(self, group: list[Row], size: int) -> Job[list[Loaded]]:
+        return Job(size, lambda: self._load_group(group))
+
+    def _load_group(self, group: list[Row]) -> list[Loaded]:
+        first, last = group[0], group[-1]
+        span = last.start + last.length - first.start
+        if len(group) == 1 or span > MAX_READ:
+            return [self._load(row) for row in group]
+        data = memoryview(self._file.source.read(first.start, span))
+        return [self._unpack(row, data[row.start - first.start :][: row.length]) for row in group]
+
+    def _load(self, row: Row) -> Loaded:
+        if row.kind == RECORDS:
+            if row.length > MAX_MESSAGE:
+                return Malformed(
+                    f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
+                )
+            return _read(self._file.source, row.start, row.length)
+        if row.kind != CHUNK or max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
+            return None
+        return self._unpack(row, _read(self._file.source, row.start, row.length))
+
+    def _unpack(self, row: Row, data: Buffer) -> Loaded:
+        try:
+            stream = open_bytes(bytes(data[:_HEAD_BYTES]), row.start)
+            head = self._file.format.open_chunk(stream)
+            if head.uncompressed_bytes > MAX_CHUNK_HELD:
+                return None
+            start = stream.position - row.start
+            stored = data[start : start + head.stored_bytes]
+            content = unpack(head.compression, stored, head.uncompressed_bytes)
+            if head.crc and zlib.crc32(content) != head.crc:
+                return Malformed(f"byte {row.start}", "its checksum is wrong")
+        except Malformed as error:
+            return error
+        return content
+
+    def open(self, row: Row, loaded: Loaded) -> Run:
+        if loaded is None:
+            return Run([], 0, self._large(row))
+        if isinstance(loaded, Malformed):
+            self._note(row, loaded)
+            return Run([], 0)
+        messages = self._parse(row, loaded)
+        return Run(messages, len(loaded) + OVERHEAD_BYTES * len(messages))
+
+    def read_again(self, row: Row) -> Block:
+        loaded = self._load(row)
+        return [] if loaded is None or isinstance(loaded, Malformed) else self._parse(row, loaded)
+
+    def _parse(self, row: Row, content: Buffer) -> Block:
+        try:
+            messages = self._file.format.parse_messages(content, self._wanted, self._selection)
+        except Malformed as error:
+            self._note(row, error)
+            return []
+        messages.sort(key=_log_time)
+        return messages
+
+    def _large(self, row: Row) -> Iterator[Block]:
+        """Read a chunk by way of a temporary file."""
+        file = self._file
+        faults: list[Malformed] = []
+        try:
+            with temporary_copy(self._content_of(row, faults)) as path, FileSource(path) as content:
+                if faults:
+                    self._note(row, faults[0])
+                if faults and row.kind == CHUNK:
+                    return
+                table = file.format.table_of_records(open_range(content, 0, content.size_bytes))
+                inside = ChunkedFile(content, file.format, table, file.channels, file.noticed)
+                yield from merge(pieces_of(inside, self._selection, ()))
+        except TooLarge as error:
+            raise SourceError(f"{file.source.name}: the chunk at byte {row.start}: {error}") from error
+
+    def _content_of(self, row: Row, faults: list[Malformed]) -> Callable[[int], bytes]:
+        """Return a function that reads on in the content of a chunk; damage ends it, and is added to `faults`."""
+        content: ForwardStream | None = None
+        crc = 0
+
+        def start() -> ForwardStream:
+            nonlocal crc
+            stream = open_range(self._file.source, row.start, row.start + row.length)
+            head = self._file.format.open_chunk(stream)
+            crc = head.crc
+            opened = open_decompressed(head.compression, limited(stream, head.stored_bytes), head.uncompressed_bytes)
+            opened.start_crc()
+            return opened
+
+        def read(most: int) -> bytes:
+            nonlocal content
+            try:
+                content = content or start()
+                piece = content.take_some(min(most, WINDOW))
+            except Malformed as error:
+                faults.append(error)
+                return b""
+            if not piece and crc and content.crc != crc:
+                faults.append(Malformed(f"byte {row.start}", "its checksum is wrong"))
+            return piece
+
+        return read
+
+    def _note(self, row: Row, error: Malformed) -> None:
+        what = "messages" if row.kind == RECORDS else "chunk"
+        self._file.noticed.add("damaged", f"{what} at byte {row.start}", f"left out: {error.message}")
+
+
+def _read(source: Source, offset: int, length: int) -> bytes:
+    if length <= MAX_READ:
+        return source.read(offset, length)
+    return b"".join(
+        source.read(at, min(MAX_READ, offset + length - at)) for at in range(offset, offset + length, MAX_READ)
+    )

@@ -1,0 +1,96 @@
+"""One file of a recording, opened: what it says of itself, and its messages as pieces to be merged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.reading.mcap_chunks import open_chunk, parse_messages, table_of_records
+from kleinkram.recordings.reading.mcap_index import McapIndex, read_index
+from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
+from kleinkram.recordings.reading.merging import Piece
+from kleinkram.recordings.reading.model import Channel, Selection
+from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.sources import Source
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file says of itself without being read; None: it does not say.
+
+    Attributes:
+        channels: by their number in the file.
+        counts: messages by channel; a channel that is not among them has none.
+        start_ns: earliest log time, inclusive.
+        end_ns: latest log time, inclusive.
+    """
+
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int] | None
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+
+
+class Member(Protocol):
+    """One file of a recording."""
+
+    @property
+    def contents(self) -> Contents:
+        """What it says of itself."""
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
+        """Yield what may hold the messages that are wanted, by first time."""
+
+    def close(self) -> None:
+        """Give up what was opened for it; a second call does nothing."""
+
+
+class ChunkedMember:
+    """A file made of chunks."""
+
+    def __init__(self, file: ChunkedFile, contents: Contents) -> None:
+        self.contents = contents
+        self._file = file
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
+        """Yield the chunks that may hold the messages that are wanted, by first time."""
+        return pieces_of(self._file, selection, order)
+
+    def close(self) -> None:
+        """Do nothing: whoever opened the source closes it."""
+
+
+_MCAP = ChunkFormat(open_chunk, parse_messages, table_of_records)
+
+
+def open_mcap(source: Source, noticed: Noticed, *, message_compression: str = "") -> ChunkedMember:
+    """Open an MCAP by its index; one without is read once from end to end, and what is broken in it is noted.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    index = _mcap_index(source, noticed)
+    channels = index.definitions.resolve(message_compression)
+    start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
+    contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
+    return ChunkedMember(ChunkedFile(source, _MCAP, index.table, channels, noticed), contents)
+
+
+def _mcap_index(source: Source, noticed: Noticed) -> McapIndex:
+    try:
+        return read_index(source)
+    except NotIndexed as refusal:
+        if refusal.is_problem:
+            noticed.add(refusal.code, source.name, str(refusal))
+        return rebuild_index(source, noticed)
+
+
+def _span(index: McapIndex) -> tuple[int | None, int | None]:
+    rows = [row for row in index.table.rows if row.uncompressed_bytes]
+    if not rows:
+        return None, None
+    return min(row.first_ns for row in rows), max(row.last_ns for row in rows)

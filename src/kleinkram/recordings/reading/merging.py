@@ -1,0 +1,187 @@
+"""Putting messages into the order of their log times, in bounded memory.
+
+What is merged are pieces: chunks, parts of databases, each with the earliest time that it may hold. A piece is opened
+when its time has come, so where pieces follow each other in time, one is held at a time and handed on as it is. Where
+they overlap, all that overlap are held; once they are more than `MAX_HELD`, only a share of each is, and a piece is
+read again for its next share: slower, and still in order. Equal times keep the order of the files.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator
+from operator import attrgetter
+from typing import NamedTuple
+
+from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.reading.model import END_OF_TIME_NS, RawMessage
+
+MAX_HELD = 48 * 2**20
+"""Bytes of messages that may wait for their time before pieces are held in shares."""
+
+OVERHEAD_BYTES = 250
+"""What a message costs beside its data."""
+
+Block = list[RawMessage]
+_log_time = attrgetter("log_time_ns")
+
+
+class TooDisordered(RecordingError):
+    """So many parts of the recording overlap in time that they cannot be put in order in bounded memory."""
+
+
+class Run:
+    """Messages of one piece, in order of time; `more` yields those that are not at hand yet.
+
+    Attributes:
+        held_bytes: about the memory that the messages at hand take.
+    """
+
+    def __init__(self, messages: Block, held_bytes: int, more: Iterator[Block] | None = None) -> None:
+        self._messages = messages
+        self._more = more
+        self.held_bytes = held_bytes
+
+    @property
+    def ready_ns(self) -> int:
+        """All its messages before this time are at hand."""
+        if self._more is None:
+            return END_OF_TIME_NS
+        return self._messages[-1].log_time_ns if self._messages else 0
+
+    @property
+    def is_whole(self) -> bool:
+        """Say whether all that is left is at hand."""
+        return self._more is None
+
+    @property
+    def ended(self) -> bool:
+        """Say whether nothing is left."""
+        return self._more is None and not self._messages
+
+    def refill(self) -> None:
+        """Bring more messages to hand."""
+        block = None if self._more is None else next(self._more, None)
+        if block is None:
+            self._more = None
+        else:
+            self._messages = self._messages + block
+            self.held_bytes += weigh(block)
+
+    def take(self, before_ns: int) -> Block:
+        """Hand out the messages before a time, and hold them no longer."""
+        messages = self._messages
+        if not messages or messages[0].log_time_ns >= before_ns:
+            return []
+        if messages[-1].log_time_ns < before_ns:
+            self._messages, self.held_bytes = [], 0
+            return messages
+        cut = bisect_left(messages, before_ns, key=_log_time)
+        self._messages = messages[cut:]
+        self.held_bytes = self.held_bytes * len(self._messages) // len(messages)
+        return messages[:cut]
+
+    def keep_share(self, share_bytes: int, read_again: Callable[[], Block]) -> None:
+        """Hold no more than a share; the rest is read again when its time comes."""
+        left = len(self._messages)
+        self._messages, self.held_bytes = [], 0
+        self._more = _shares(left, share_bytes, read_again)
+        self.refill()
+
+
+class Piece(NamedTuple):
+    """Something that holds messages from `first_ns` on.
+
+    Attributes:
+        order: place in the order of the files; decides between equal times.
+        open: reads it.
+        read_again: reads the same messages once more; None for what holds little at a time by itself.
+    """
+
+    first_ns: int
+    order: tuple[int, ...]
+    open: Callable[[], Run]
+    read_again: Callable[[], Block] | None = None
+
+
+def merge(pieces: Iterable[Piece]) -> Iterator[Block]:
+    """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
+
+    Raises:
+        TooDisordered: more pieces overlap than even shares of them can be held.
+        SourceError: as the pieces raise it.
+    """
+    merging = _Merging()
+    waiting = iter(pieces)
+    upcoming = next(waiting, None)
+    while upcoming is not None:
+        current, upcoming = upcoming, next(waiting, None)
+        merging.add(current)
+        yield from merging.blocks(END_OF_TIME_NS if upcoming is None else upcoming.first_ns)
+
+
+class _Merging:
+    def __init__(self) -> None:
+        self._runs: list[tuple[Piece, Run]] = []
+
+    def add(self, piece: Piece) -> None:
+        self._runs.append((piece, piece.open()))
+        if len(self._runs) > 1:
+            self._runs.sort(key=lambda pair: pair[0].order)
+            self._bound()
+
+    def blocks(self, before_ns: int) -> Iterator[Block]:
+        """Yield what is earlier than a time."""
+        while True:
+            alone = len(self._runs) == 1
+            cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
+            parts = [part for _, run in self._runs if (part := run.take(cut))]
+            if len(parts) == 1:
+                yield parts[0]
+            elif parts:
+                yield sorted((message for part in parts for message in part), key=_log_time)
+            del parts
+            self._runs = [pair for pair in self._runs if not pair[1].ended]
+            waiting = [run for _, run in self._runs if run.ready_ns < before_ns]
+            if not waiting:
+                return
+            for run in waiting:
+                if alone or run.ready_ns <= cut:
+                    run.refill()
+            self._check()
+
+    def _bound(self) -> None:
+        if sum(run.held_bytes for _, run in self._runs) <= MAX_HELD:
+            return
+        share = MAX_HELD // (2 * len(self._runs))
+        for piece, run in self._runs:
+            if piece.read_again is not None and run.is_whole and run.held_bytes > share:
+                run.keep_share(share, piece.read_again)
+        self._check()
+
+    def _check(self) -> None:
+        if len(self._runs) > 1 and sum(run.held_bytes for _, run in self._runs) > 2 * MAX_HELD:
+            raise TooDisordered(
+                f"{len(self._runs)} parts of the recording overlap in time, more than can be put in order; "
+                "read one topic, or a shorter time, at once"
+            )
+
+
+def _shares(left: int, share_bytes: int, read_again: Callable[[], Block]) -> Iterator[Block]:
+    """Yield the last `left` messages of a piece in blocks of a share, reading it again for each."""
+    while left:
+        messages = read_again()
+        start = max(0, len(messages) - left)
+        stop, size = start, 0
+        while stop < len(messages) and (stop == start or size < share_bytes):
+            size += len(messages[stop].data) + OVERHEAD_BYTES
+            stop += 1
+        block = messages[start:stop]
+        left = len(messages) - stop
+        del messages
+        yield block
+
+
+def weigh(messages: Block) -> int:
+    """Return about how much memory messages take."""
+    return sum(map(len, map(attrgetter("data"), messages))) + OVERHEAD_BYTES * len(messages)

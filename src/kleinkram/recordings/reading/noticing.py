@@ -1,0 +1,30 @@
+"""What goes wrong while a recording is read: each thing once, and no more of them than a person would read."""
+
+from __future__ import annotations
+
+from kleinkram.recordings.limits import MAX_PROBLEMS
+from kleinkram.recordings.model import Problem
+
+
+class Noticed:
+    """The problems of one recording so far."""
+
+    def __init__(self) -> None:
+        self._problems: dict[tuple[str, str], Problem] = {}
+        self._left_out = 0
+
+    def add(self, code: str, where: str, message: str) -> None:
+        """Note a problem; the second of a code and a place is the first one met again."""
+        if (code, where) in self._problems:
+            return
+        if len(self._problems) < MAX_PROBLEMS:
+            self._problems[code, where] = Problem(code, where, message)
+        else:
+            self._left_out += 1
+
+    def all(self) -> tuple[Problem, ...]:
+        """Return the problems in the order in which they were met."""
+        found = tuple(self._problems.values())
+        if not self._left_out:
+            return found
+        return (*found, Problem("more-problems", "file", f"{self._left_out} more problems are not listed"))

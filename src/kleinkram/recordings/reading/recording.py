@@ -1,0 +1,168 @@
+"""`Recording`: the messages of one recording, in the order of their log times, wherever its files are.
+
+Memory stays below about 200 MB whatever the size of the files. A recording may be read as often as one likes; each
+iteration stands by itself. Not to be shared between threads.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from fnmatch import fnmatchcase
+from types import TracebackType
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.model import Problem
+from kleinkram.recordings.reading.chunked import MAX_MESSAGE
+from kleinkram.recordings.reading.errors import NoSuchTopic
+from kleinkram.recordings.reading.member import Member
+from kleinkram.recordings.reading.merging import Block, merge
+from kleinkram.recordings.reading.model import END_OF_TIME_NS, Channel, Message, RawMessage, Selection, Topic
+from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.opening import Openable, open_members
+from kleinkram.recordings.reading.times import Time, to_ns
+from kleinkram.recordings.reading.topics import list_topics
+from kleinkram.recordings.reading.unpacking import unpack_message
+
+Topics = str | Sequence[str]
+"""Names of topics, or globs of them (`*`, `?`)."""
+
+
+class Recording:
+    """The files of one recording, opened for reading. Close it, or use it in a `with`.
+
+    Attributes:
+        name: of the file or folder.
+        topics: by name.
+        message_count: None where only reading all of them would tell.
+        start_ns: earliest log time as the files say, inclusive; None without messages.
+        end_ns: latest log time as the files say, inclusive.
+    """
+
+    def __init__(self, name: str, members: tuple[Member, ...], stack: ExitStack, noticed: Noticed) -> None:
+        self.name = name
+        self._members = members
+        self._stack = stack
+        self._noticed = noticed
+        contents = [member.contents for member in members]
+        counts = [content.message_count for content in contents]
+        self.topics: tuple[Topic, ...] = list_topics(contents)
+        self.message_count = None if None in counts else sum(count for count in counts if count is not None)
+        self.start_ns = min((content.start_ns for content in contents if content.start_ns is not None), default=None)
+        self.end_ns = max((content.end_ns for content in contents if content.end_ns is not None), default=None)
+
+    @classmethod
+    def open(cls, what: Openable) -> Recording:
+        """Open a recording: a file, a rosbag2 folder or its metadata.yaml, a source, several, or what has `sources()`.
+
+        Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
+        what is broken in it is left out and named in `problems`.
+
+        Raises:
+            FileNotFoundError: there is no such file or folder.
+            NotARecording: it holds no messages that we read.
+            SeveralRecordings: the folder holds several.
+            SourceError: the bytes cannot be read.
+        """
+        noticed = Noticed()
+        opened = open_members(what, noticed)
+        return cls(opened.name, opened.members, opened.stack, noticed)
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """What is wrong with the files, as far as they were read: it grows while messages are read."""
+        return self._noticed.all()
+
+    def raw_messages(
+        self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[RawMessage]:
+        """Yield messages as bytes, in the order of log time; of equal times, in the order of the files.
+
+        Args:
+            topics: names or globs; None: all.
+            start: earliest log time, inclusive: nanoseconds, or an aware datetime.
+            end: latest log time, exclusive.
+
+        Raises:
+            NoSuchTopic: a name that is no glob is not among the topics.
+            TooDisordered: too many parts overlap in time to be put in order in bounded memory.
+            SourceError: the bytes cannot be read. The content of a file never raises.
+        """
+        blocks = self._blocks(self._select(topics, start, end))
+        return (message for block in blocks for message in block)
+
+    def messages(
+        self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[Message]:
+        """Yield decoded messages; arguments, order and errors are those of `raw_messages`.
+
+        A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
+        one that does not fit its schema, which is then named in `problems`.
+        """
+        from kleinkram.recordings.reading.decoded import decode_blocks  # decoding is only imported where it is used
+
+        return decode_blocks(self._blocks(self._select(topics, start, end)), self._noticed)
+
+    def topic(self, name: str) -> Topic:
+        """Return the topic of this name.
+
+        Raises:
+            NoSuchTopic: there is none.
+        """
+        for topic in self.topics:
+            if topic.name == name:
+                return topic
+        raise NoSuchTopic(name, [topic.name for topic in self.topics])
+
+    def close(self) -> None:
+        """Close the files that were opened by path; a second call does nothing."""
+        self._stack.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
+        start_ns = 0 if start is None else to_ns(start)
+        end_ns = END_OF_TIME_NS if end is None else to_ns(end)
+        if topics is None:
+            return Selection(None, start_ns, end_ns)
+        names = [topic.name for topic in self.topics]
+        found: set[str] = set()
+        for wanted in [topics] if isinstance(topics, str) else topics:
+            is_glob = wanted not in names and any(sign in wanted for sign in "*?[")
+            hits = [name for name in names if (fnmatchcase(name, wanted) if is_glob else name == wanted)]
+            if not hits and not is_glob:
+                raise NoSuchTopic(wanted, names)
+            found.update(hits)
+        return Selection(frozenset(found), start_ns, end_ns)
+
+    def _blocks(self, selection: Selection) -> Iterator[Block]:
+        """Yield the messages as lists that follow each other in time."""
+        pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
+        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns))
+        if any(channel.message_compression for member in self._members for channel in _channels(member)):
+            return (self._uncompressed(block) for block in blocks)
+        return blocks
+
+    def _uncompressed(self, block: Block) -> Block:
+        """Undo what rosbag2 did to each message; one that is damaged is left out, and named."""
+        return [unpacked for message in block if (unpacked := self._unpack(message)) is not None]
+
+    def _unpack(self, message: RawMessage) -> RawMessage | None:
+        if not message.channel.message_compression:
+            return message
+        try:
+            return message._replace(data=unpack_message(message.data, MAX_MESSAGE))
+        except Malformed as error:
+            self._noticed.add("damaged-message", message.topic, f"left out: {error.message}")
+            return None
+
+
+def _channels(member: Member) -> list[Channel]:
+    return list(member.contents.channels.values())
