@@ -12,8 +12,9 @@ from kleinkram.cli.render import details, line, note, show_json, show_json_list,
 from kleinkram.cli.units import instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
-from kleinkram.contract.files import FileRead, FileSort
+from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
 
+_DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
 app = typer.Typer(
     help="Files: what a mission holds.",
     no_args_is_help=True,
@@ -145,6 +146,8 @@ def _show(file: FileRead) -> None:
             ("size", f"{size(file.size_bytes)} ({file.size_bytes} bytes)"),
             ("bytes", file.state.value + (f": {file.state_reason}" if file.state_reason else "")),
             ("content", file.content.value + (f": {file.content_reason}" if file.content_reason else "")),
+            ("read by", file.depth and _DEPTHS[file.depth]),
+            ("lost", file.lost and _loss(file.lost)),
             ("format", file.format),
             ("compression", file.compression),
             ("messages", file.message_count),
@@ -156,6 +159,12 @@ def _show(file: FileRead) -> None:
             ("proven", file.proven_at),
             ("labels", file.labels),
             ("uploaded", f"{file.created_at:%Y-%m-%d %H:%M}Z by {file.uploaded_by.name} ({file.origin})"),
+            *((f"{fact.name} ({fact.unit})" if fact.unit else fact.name, fact.value) for fact in file.facts),
             *((f"problem at {problem.where}", problem.message) for problem in file.problems),
         ]
     )
+
+
+def _loss(lost: FileLoss) -> str:
+    messages = "an unknown number of" if lost.messages is None else f"{lost.messages}"
+    return f"{messages} messages, {size(lost.bytes)} in {lost.chunks} chunks"

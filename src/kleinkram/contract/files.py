@@ -32,6 +32,33 @@ class ContentState(str, enum.Enum):
     error = "error"
 
 
+class ReadDepth(str, enum.Enum):
+    """How content was read: by the file's own index, or every byte of it."""
+
+    summary = "summary"
+    scan = "scan"
+
+
+class FileLoss(BaseModel):
+    """What of a damaged recording cannot be read. `messages` is null where nothing in the file tells."""
+
+    model_config = ConfigDict(frozen=True)
+
+    bytes: int
+    chunks: int
+    messages: int | None
+
+
+class FileFact(BaseModel):
+    """One thing more that a file says of itself, such as the number of poses of a trajectory."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    value: str | int | float
+    unit: str
+
+
 class FileProblem(BaseModel):
     """Something odd inside a recording, in plain words."""
 
@@ -46,7 +73,7 @@ class FileRead(BaseModel):
     """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
 
     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
-    the server has looked at the content, whatever came of it.
+    the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -75,6 +102,9 @@ class FileRead(BaseModel):
     end_ns: int | None
     compression: list[str]
     problems: list[FileProblem]
+    depth: ReadDepth | None
+    lost: FileLoss | None
+    facts: list[FileFact]
 
 
 class FileUpdate(BaseModel):

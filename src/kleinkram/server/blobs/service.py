@@ -1,6 +1,7 @@
 """What happens to bytes after they arrived: their summary, their proof, their end."""
 
 import datetime
+import math
 import uuid
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -76,10 +77,19 @@ async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSum
         "end_ns": end_ns,
         "compression": [fit(each) for each in summary.compression],
         "problems": [{key: fit(value) for key, value in asdict(each).items()} for each in summary.problems],
+        "depth": summary.depth.value,
+        "lost": summary.lost and asdict(summary.lost),
+        "facts": [{key: _fitting(value) for key, value in asdict(each).items()} for each in summary.facts],
         "summarised_at": func.now(),
     }
     await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
     await _regroup_missions(db, blob_id)
+
+
+def _fitting(value: str | int | float) -> str | int | float:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # JSON has no word for it
+    return fit(value) if isinstance(value, str) else value
 
 
 def _topic_values(blob_id: uuid.UUID, each: Any) -> dict[str, object]:

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, Update, func, literal, select, true, update
 from sqlalchemy.dialects.postgresql import array
 
-from kleinkram.contract.files import FileFilter, FileProblem, FileRead, FileSort
+from kleinkram.contract.files import FileFact, FileFilter, FileLoss, FileProblem, FileRead, FileSort
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -54,6 +54,9 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
             "end_ns",
             "compression",
             "problems",
+            "depth",
+            "lost",
+            "facts",
         )
     ),
 )
@@ -96,6 +99,9 @@ def to_file(row: Row[Any]) -> FileRead:
         end_ns=row.end_ns,
         compression=row.compression,
         problems=[FileProblem(**problem) for problem in row.problems],
+        depth=row.depth,
+        lost=row.lost and FileLoss(**row.lost),
+        facts=[FileFact(**fact) for fact in row.facts],
     )
 
 

@@ -19,7 +19,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
-from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 blob = Table(
@@ -49,10 +49,14 @@ blob = Table(
     Column("end_ns", BigInteger),
     Column("compression", ARRAY(Text), nullable=False, server_default="{}"),
     Column("problems", JSONB, nullable=False, server_default="[]"),
+    Column("depth", Text),
+    Column("lost", JSONB(none_as_null=True)),
+    Column("facts", JSONB, nullable=False, server_default="[]"),
     Column("summarised_at", DateTime(timezone=True)),
     UniqueConstraint("store_id", "key"),
     one_of("state", BlobState),
     one_of("content", ContentState),
+    one_of("depth", ReadDepth),
     CheckConstraint("size_bytes >= 0", name="size_bytes"),
     CheckConstraint("octet_length(sha256) = 32", name="sha256"),
     CheckConstraint("octet_length(md5) = 16", name="md5"),
