@@ -21,6 +21,7 @@ class RecordingFormat(str, Enum):
     kitti = "kitti"
     yaml = "yaml"
     csv = "csv"
+    json = "json"
     empty = "empty"
     unknown = "unknown"
 

@@ -1,0 +1,1 @@
+"""Files beside recordings: trajectories, tables, documents, flight logs. Recognised, and asked for what is cheap."""
