@@ -53,6 +53,12 @@ async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> s
     return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
 
 
+async def lock_visible_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> bool:
+    """Do as `lock_mission`, and say whether `actor` may see it: then they may until this transaction ends."""
+    await lock_mission(db, mission_id)
+    return (await db.execute(queries.visible_mission(actor, mission_id))).first() is not None
+
+
 async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Row[Any]:
     """Return the row of a mission, with `project_name`.
 

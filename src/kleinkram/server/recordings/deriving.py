@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from sqlalchemy import Row, Select, bindparam, delete, select, update
+from sqlalchemy import Row, bindparam, delete, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.recordings import RecordingGroup, Rosbag2Metadata, group
@@ -18,11 +18,6 @@ _INSERT_BATCH = 1000
 # 1990: no robot recorded before; a clock that starts in 1970 was never set.
 _MAX_BIGINT = 2**63 - 1
 _CREDIBLE_NS = 631_152_000 * 10**9
-
-
-def lock_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the select that locks a mission against everything that changes its files."""
-    return select(mission.c.id).where(mission.c.id == mission_id).with_for_update(key_share=True)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from kleinkram.recordings import Rosbag2Metadata, group, parse_rosbag2_metadata
 from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, site_of
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import deriving
 from kleinkram.server.site import Site
 
@@ -26,11 +27,11 @@ async def group_recordings(context: JobContext, ref: str) -> None:
     mission_id = uuid.UUID(ref)
     await courtesy_of(context).give_way(SUMMARY_PATIENCE_S)
     async with site.database.begin() as db:
-        await db.execute(deriving.lock_mission(mission_id))
+        await missions.lock_mission(db, mission_id)
         rows = await deriving.live_files(db, mission_id)
     stated = await _read_metadata(site, rows)
     async with site.database.begin() as db:
-        if (await db.execute(deriving.lock_mission(mission_id))).first() is None:
+        if not await missions.lock_mission(db, mission_id):
             return
         rows = await deriving.live_files(db, mission_id)
         await deriving.keep(db, mission_id, deriving.derive(rows, stated), rows)

@@ -203,7 +203,7 @@ async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
 
 async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows: Sequence[Row[Any]]) -> Failures:
     """Make blob and file of each upload, in one transaction with the record and the jobs that follow."""
-    if not await queries.lock_mission(db, actor, mission_id):
+    if not await missions.lock_visible_mission(db, actor, mission_id):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
     locked = select(upload.c.id).where(
         upload.c.id.in_([row.id for row in rows]), upload.c.state == UploadState.completing.value

@@ -83,14 +83,3 @@ async def locked_uploads(db: Connection, actor: Actor, upload_ids: Collection[uu
         .with_for_update(of=upload)
     )
     return {row.id: row for row in await db.execute(statement)}
-
-
-async def lock_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> bool:
-    """Lock a mission against deleting, moving and other completions, and say whether `actor` may see it."""
-    statement = (
-        visible_missions(actor)
-        .with_only_columns(mission.c.id)
-        .where(mission.c.id == mission_id)
-        .with_for_update(of=mission, key_share=True)
-    )
-    return (await db.execute(statement)).first() is not None

@@ -71,7 +71,7 @@ async def begin_uploads(
         NotFound: no such mission for `actor`.
     """
     async with site.database.begin() as db:
-        if not await queries.lock_mission(db, actor, mission_id):
+        if not await missions.lock_visible_mission(db, actor, mission_id):
             raise NotFound(noun="mission", ref=str(mission_id))
         decisions = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
         decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
