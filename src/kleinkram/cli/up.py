@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from kleinkram.cli.options import AsJson
+
 if TYPE_CHECKING:
     from kleinkram.standalone.doctor import Finding
     from kleinkram.standalone.errors import StandaloneError
@@ -44,6 +46,9 @@ def up(
         Path | None, typer.Option(metavar="F", help="Certificate (PEM), for the API and the store.")
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="F", help="Its private key (PEM).")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Say where it answers as one line of JSON on stdout, once it does.")
+    ] = False,
 ) -> None:
     """Run Kleinkram on this machine: PostgreSQL, S3, API and worker. Ctrl-C or `klein down` ends it."""
     from kleinkram.standalone.__main__ import arguments
@@ -61,6 +66,7 @@ def up(
             tls_key=tls_key.resolve() if tls_key else None,
         ),
         is_default_data_dir=_resolve(data_dir) == _resolve(None),
+        as_json=as_json,
     )
     # The supervisor stays for long: as a process of its own kind it needs a third of this one's memory.
     command = arguments(options)
@@ -68,21 +74,28 @@ def up(
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
 
 
-def down(data_dir: DataDirOption = None) -> None:
+def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """End the Kleinkram that runs on this machine, in order; returns when it has ended."""
     from kleinkram.standalone.data_dir import DataDir
     from kleinkram.standalone.errors import StandaloneError
     from kleinkram.standalone.leftovers import stop_instance
 
+    folder = _resolve(data_dir)
     try:
-        stop_instance(DataDir(_resolve(data_dir)))
+        ended = stop_instance(DataDir(folder))
     except StandaloneError as error:
         _fail(error)
+    if as_json:
+        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "parts": ended.parts}, indent=2))
+    else:
+        typer.echo(
+            f"Ended Kleinkram on {folder} (pid {ended.pid}): {', '.join(ended.parts) or 'it was still starting'}."
+        )
 
 
 def doctor(
     data_dir: DataDirOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say what is wrong with the Kleinkram on this machine, and how to mend it. Exit code 1 if anything is."""
     from kleinkram.standalone.doctor import examine

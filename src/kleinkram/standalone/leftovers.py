@@ -4,17 +4,27 @@ A process is signalled only through a pidfd that was opened before its identity 
 """
 
 import contextlib
+import json
 import os
 import select
 import signal
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from kleinkram.standalone.data_dir import DataDir, is_held, read_holder
 from kleinkram.standalone.errors import NotRunning, PartFailed
 from kleinkram.standalone.procs import marked_processes, start_ticks
 
 _GRACE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Ended:
+    """An instance that runs no more: its supervisor's pid, and its parts' by name."""
+
+    pid: int
+    parts: dict[str, int]
 
 
 def end_leftovers(data_dir: DataDir) -> int:
@@ -40,8 +50,8 @@ def end_leftovers(data_dir: DataDir) -> int:
     return len(found)
 
 
-def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> None:
-    """Ask the supervisor of this data directory to stop all parts, and wait until it is gone.
+def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> Ended:
+    """Ask the supervisor of this data directory to stop all parts, and wait until it is gone; returns what ended.
 
     Raises:
         NotRunning: nothing runs there.
@@ -50,17 +60,28 @@ def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> None:
     holder = read_holder(data_dir)
     if holder is None or not is_held(data_dir):
         raise NotRunning(f"Kleinkram does not run on {data_dir.root}: there is nothing to end.")
+    ended = Ended(holder.pid, _living_parts(data_dir))
     with _pidfd(holder.pid) as descriptor:
         if descriptor is None or start_ticks(holder.pid) != holder.start_ticks:
-            return
+            return ended
         signal.pidfd_send_signal(descriptor, signal.SIGTERM)
-        ended = select.poll()
-        ended.register(descriptor, select.POLLIN)
-        if not ended.poll(timeout_s * 1000):
+        waiting = select.poll()
+        waiting.register(descriptor, select.POLLIN)
+        if not waiting.poll(timeout_s * 1000):
             raise PartFailed(
                 f"Kleinkram on {data_dir.root} (pid {holder.pid}) has not ended within {timeout_s:.0f} s: "
                 f"see {data_dir.root / 'logs'}; `kill -9 {holder.pid}` is safe, the next `klein up` recovers."
             )
+    return ended
+
+
+def _living_parts(data_dir: DataDir) -> dict[str, int]:
+    """The parts by name, as the instance tells; none while it is still starting."""
+    try:
+        told = json.loads(data_dir.instance_file.read_text())
+    except FileNotFoundError:
+        return {}
+    return {name: pid for name, pid in told["parts"].items() if pid is not None}
 
 
 @contextlib.contextmanager

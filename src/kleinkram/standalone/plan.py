@@ -23,12 +23,16 @@ _THRIFT = {"KLEINKRAM_DATABASE_CONNECTIONS": "4", "MALLOC_ARENA_MAX": "2"}
 
 @dataclass(frozen=True)
 class UpOptions:
-    """What the caller of `klein up` chose. `server` is the command whose subcommands are migrate, api and worker."""
+    """What the caller of `klein up` chose. `server` is the command whose subcommands are migrate, api and worker.
+
+    `as_json`: the one line of output is what `instance.json` holds, instead of a sentence.
+    """
 
     data_dir: Path
     listening: Listening = field(default_factory=Listening)
     server: tuple[str, ...] = SERVER
     is_default_data_dir: bool = False
+    as_json: bool = False
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def run(options: UpOptions) -> None:
         supervisor = Supervisor(make_plan(options))
         try:
             supervisor.start()
-            print(_greeting(supervisor.plan, options), flush=True)  # noqa: T201  (the command's one line of output)
+            print(_greeting(supervisor, options), flush=True)  # noqa: T201  (the command's one line of output)
             supervisor.watch()
         except StopAsked:
             pass
@@ -217,10 +217,14 @@ class Supervisor:
         return max(0.0, min([time.monotonic() + _LOGS_EVERY_S, *due]) - time.monotonic())
 
     def _tell(self) -> None:
-        """Write what the CLI, `klein doctor` and other programs of this user may know."""
+        write_private(self.plan.data_dir.instance_file, json.dumps(self.told(), indent=2))
+
+    def told(self) -> dict[str, object]:
+        """What the CLI, `klein doctor` and other programs of this user may know."""
         plan = self.plan
-        told = {
+        return {
             "url": plan.public_url,
+            "data_dir": str(plan.data_dir.root),
             "token_file": str(plan.data_dir.token_file),
             "store_url": plan.store_public_url,
             "local_url": local_url(plan),
@@ -230,7 +234,6 @@ class Supervisor:
             "ports": dict(plan.ports),
             "parts": {name: running.pid for name, running in self.parts.items()},
         }
-        write_private(plan.data_dir.instance_file, json.dumps(told, indent=2))
 
 
 def local_url(plan: Plan) -> str:
@@ -274,8 +277,10 @@ def _warn_of_listening(plan: Plan) -> None:
         )
 
 
-def _greeting(plan: Plan, options: UpOptions) -> str:
-    line = f"Kleinkram answers at {plan.public_url} (data in {options.data_dir})"
+def _greeting(supervisor: Supervisor, options: UpOptions) -> str:
+    if options.as_json:
+        return json.dumps(supervisor.told())
+    line = f"Kleinkram answers at {supervisor.plan.public_url} (data in {options.data_dir})"
     if not options.is_default_data_dir:
         line += f"; for klein on this machine: export KLEINKRAM_DATA_DIR={shlex.quote(str(options.data_dir))}"
     return line

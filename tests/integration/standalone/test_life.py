@@ -4,7 +4,9 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -68,6 +70,26 @@ def test_down_from_elsewhere_ends_it_and_says_so_when_nothing_runs(shared_instan
     assert shared_instance.processes == []
     with pytest.raises(NotRunning, match="does not run"):
         stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Instance) -> None:
+    process = shared_instance.spawn(as_json=True)
+    assert process.stdout is not None
+    said = json.loads(process.stdout.readline())
+    assert said == shared_instance.told
+    assert said["data_dir"] == str(shared_instance.data_dir)
+    assert said["pid"] == process.pid
+    assert tuple(sorted(said["parts"])) == tuple(sorted(PARTS))
+    assert is_ready(said["url"])
+    assert s3.proves_ready(_store_access(shared_instance), store.BUCKET)
+    klein = str(Path(sys.executable).parent / "klein")
+    down = [klein, "down", "--data-dir", str(shared_instance.data_dir), "--json"]
+    ended = json.loads(subprocess.run(down, check=True, capture_output=True, text=True).stdout)
+    assert ended == {name: said[name] for name in ("data_dir", "pid", "parts")}
+    assert process.communicate(timeout=10) == ("", "")
+    again = subprocess.run(down, check=False, capture_output=True, text=True)
+    assert (again.returncode, again.stdout) == (1, "")
+    assert "does not run" in again.stderr
 
 
 def test_down_never_signals_a_process_that_got_the_pid_since(shared_instance: Instance) -> None:

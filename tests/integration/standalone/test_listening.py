@@ -1,8 +1,6 @@
 """Other machines, ports, TLS. Another address of this machine stands for another machine."""
 
-import datetime
 import http.client
-import ipaddress
 import socket
 import ssl
 from dataclasses import replace
@@ -10,10 +8,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
 from kleinkram.standalone import s3
 from kleinkram.standalone.address import Listening, check_listening, public_urls
@@ -21,6 +15,7 @@ from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import StandaloneError
 from kleinkram.standalone.health import get
 from kleinkram.standalone.leftovers import stop_instance
+from tests.certificate import make_certificate
 from tests.integration.standalone.conftest import Instance
 
 ELSEWHERE = "127.0.0.2"
@@ -116,23 +111,4 @@ def test_the_public_url_gives_the_store_its_host() -> None:
 @pytest.fixture
 def certificate(tmp_path: Path) -> tuple[Path, Path]:
     """A self-signed certificate for 127.0.0.1, and its key."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
-    now = datetime.datetime.now(datetime.timezone.utc)
-    signed = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(hours=1))
-        .not_valid_after(now + datetime.timedelta(hours=1))
-        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    certificate, private = tmp_path / "cert.pem", tmp_path / "key.pem"
-    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
-    private.write_bytes(
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
-    return certificate, private
+    return make_certificate(tmp_path, "127.0.0.1")
