@@ -1,8 +1,6 @@
 """`klein up --listen 0.0.0.0`: another machine uploads, downloads and verifies, and reaches nothing else."""
 
-import datetime
 import filecmp
-import ipaddress
 import json
 import os
 import subprocess
@@ -11,13 +9,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import Terminal
+from tests.certificate import make_certificate
 from tests.system.conftest import OtherMachine
 from tests.system.house import House
 
@@ -45,7 +40,7 @@ def test_over_plain_http(house: House, other_machine: OtherMachine, tmp_path: Pa
 
 
 def test_over_tls_with_a_certificate_of_our_own(house: House, other_machine: OtherMachine, tmp_path: Path) -> None:
-    certificate, key = _certificate(tmp_path, other_machine.our_address)
+    certificate, key = make_certificate(tmp_path, other_machine.our_address)
     _listen(house, other_machine, "https")
     house.options += ["--tls-cert", str(certificate), "--tls-key", str(key)]
     house.start()
@@ -92,26 +87,3 @@ def _ports_that_open(house: House, machine: OtherMachine) -> set[int]:
 def _folder(path: Path) -> Path:
     path.mkdir()
     return path
-
-
-def _certificate(folder: Path, address: str) -> tuple[Path, Path]:
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
-    now = datetime.datetime.now(datetime.timezone.utc)
-    signed = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(hours=1))
-        .not_valid_after(now + datetime.timedelta(hours=1))
-        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    certificate, private = folder / "cert.pem", folder / "key.pem"
-    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
-    private.write_bytes(
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
-    return certificate, private

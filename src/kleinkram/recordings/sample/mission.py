@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 from kleinkram.recordings.bag.writer import BagWriter
 from kleinkram.recordings.mcap.writer import McapWriter
@@ -45,12 +46,21 @@ class _Plan:
     size_bytes: int | None
 
 
+class _Topic(NamedTuple):
+    """A topic of an open recording: what its type is called there, and the number to write to it by."""
+
+    message_type: str
+    number: int
+
+
 @dataclass(frozen=True)
 class _Recorder:
     """One open recording, whatever its format."""
 
-    write: Callable[[str, int, bytes], None]
+    add_topic: Callable[[str, str], _Topic]
+    write: Callable[[int, int, bytes], None]
     bytes_written: Callable[[], int]
+    finish: Callable[[], None]
 
 
 def generate_mission(
@@ -100,25 +110,10 @@ def generate_mcap(
     faults: Faults = _NO_FAULTS,
 ) -> FileTruth:
     """Make one MCAP (profile ros2, CDR, zstd) as `generate_mission` does."""
-    plan, truth = _plan(size_bytes, duration_s), TruthKeeper()
+    plan = _plan(size_bytes, duration_s)
     vehicle = _vehicle(plan, seed, Encoding.cdr, faults)
     with Path(path).open("xb") as file:
-        writer = McapWriter(file, profile="ros2")
-        channels: dict[str, int] = {}
-        schemas: dict[str, int] = {}
-        for stream in vehicle.streams:
-            kind = stream.message_type
-            if kind not in schemas:
-                text = definitions.ros2_definition(kind).encode()
-                schemas[kind] = writer.add_schema(definitions.ros2_name(kind), "ros2msg", text)
-            channels[stream.topic] = writer.add_channel(stream.topic, schemas[kind], "cdr")
-            truth.add_topic(stream.topic, definitions.ros2_name(kind))
-
-        def write(topic: str, log_time_ns: int, payload: bytes) -> None:
-            writer.add_message(channels[topic], log_time_ns, payload, publish_time_ns=log_time_ns)
-
-        _record(vehicle, plan, _Recorder(write, lambda: writer.bytes_written), truth)
-        writer.finish()
+        truth = _record(vehicle, plan, _mcap_recorder(McapWriter(file, profile="ros2")))
     return _finish(Path(path), truth, faults)
 
 
@@ -131,26 +126,10 @@ def generate_bag(
     faults: Faults = _NO_FAULTS,
 ) -> FileTruth:
     """Make one ROS 1 bag (lz4) as `generate_mission` does."""
-    plan, truth = _plan(size_bytes, duration_s), TruthKeeper()
+    plan = _plan(size_bytes, duration_s)
     vehicle = _vehicle(plan, seed, Encoding.ros1, faults)
     with Path(path).open("xb") as file:
-        writer = BagWriter(file)
-        connections: dict[str, int] = {}
-        for stream in vehicle.streams:
-            kind = stream.message_type
-            connections[stream.topic] = writer.add_connection(
-                stream.topic,
-                kind,
-                md5sum=definitions.ros1_md5(kind),
-                definition=definitions.ros1_definition(kind),
-            )
-            truth.add_topic(stream.topic, kind)
-
-        def write(topic: str, log_time_ns: int, payload: bytes) -> None:
-            writer.add_message(connections[topic], log_time_ns, payload)
-
-        _record(vehicle, plan, _Recorder(write, lambda: writer.bytes_written), truth)
-        writer.finish()
+        truth = _record(vehicle, plan, _bag_recorder(BagWriter(file)))
     return _finish(Path(path), truth, faults)
 
 
@@ -163,21 +142,42 @@ def generate_db3(
     faults: Faults = _NO_FAULTS,
 ) -> FileTruth:
     """Make one rosbag2 folder (SQLite storage) as `generate_mission` does; the truth is that of its database."""
-    plan, truth = _plan(size_bytes, duration_s), TruthKeeper()
+    plan = _plan(size_bytes, duration_s)
     vehicle = _vehicle(plan, seed, Encoding.cdr, faults)
     writer = Db3Writer(Path(folder))
-    topics: dict[str, int] = {}
-    for stream in vehicle.streams:
-        name = definitions.ros2_name(stream.message_type)
-        topics[stream.topic] = writer.add_topic(stream.topic, name)
-        truth.add_topic(stream.topic, name)
-
-    def write(topic: str, log_time_ns: int, payload: bytes) -> None:
-        writer.add_message(topics[topic], log_time_ns, payload)
-
-    _record(vehicle, plan, _Recorder(write, lambda: writer.bytes_written), truth)
-    writer.finish()
+    truth = _record(vehicle, plan, _db3_recorder(writer))
     return _finish(writer.path, truth, faults)
+
+
+def _mcap_recorder(writer: McapWriter) -> _Recorder:
+    schemas: dict[str, int] = {}
+
+    def add_topic(topic: str, message_type: str) -> _Topic:
+        name = definitions.ros2_name(message_type)
+        if name not in schemas:
+            schemas[name] = writer.add_schema(name, "ros2msg", definitions.ros2_definition(message_type).encode())
+        return _Topic(name, writer.add_channel(topic, schemas[name], "cdr"))
+
+    def write(channel: int, log_time_ns: int, payload: bytes) -> None:
+        writer.add_message(channel, log_time_ns, payload, publish_time_ns=log_time_ns)
+
+    return _Recorder(add_topic, write, lambda: writer.bytes_written, writer.finish)
+
+
+def _bag_recorder(writer: BagWriter) -> _Recorder:
+    def add_topic(topic: str, message_type: str) -> _Topic:
+        md5sum, definition = definitions.ros1_md5(message_type), definitions.ros1_definition(message_type)
+        return _Topic(message_type, writer.add_connection(topic, message_type, md5sum=md5sum, definition=definition))
+
+    return _Recorder(add_topic, writer.add_message, lambda: writer.bytes_written, writer.finish)
+
+
+def _db3_recorder(writer: Db3Writer) -> _Recorder:
+    def add_topic(topic: str, message_type: str) -> _Topic:
+        name = definitions.ros2_name(message_type)
+        return _Topic(name, writer.add_topic(topic, name))
+
+    return _Recorder(add_topic, writer.add_message, lambda: writer.bytes_written, writer.finish)
 
 
 def _plan(size_bytes: int | None, duration_s: float | None) -> _Plan:
@@ -208,12 +208,19 @@ def _vehicle(plan: _Plan, seed: int, encoding: Encoding, faults: Faults) -> Vehi
     )
 
 
-def _record(vehicle: Vehicle, plan: _Plan, recorder: _Recorder, truth: TruthKeeper) -> None:
+def _record(vehicle: Vehicle, plan: _Plan, recorder: _Recorder) -> TruthKeeper:
+    truth = TruthKeeper()
+    numbers: dict[str, int] = {}
+    for stream in vehicle.streams:
+        message_type, numbers[stream.topic] = recorder.add_topic(stream.topic, stream.message_type)
+        truth.add_topic(stream.topic, message_type)
     for sample in vehicle.drive(plan.duration_s):
-        recorder.write(sample.topic, sample.log_time_ns, sample.payload)
+        recorder.write(numbers[sample.topic], sample.log_time_ns, sample.payload)
         truth.add(sample.topic, sample.log_time_ns)
         if plan.size_bytes is not None and recorder.bytes_written() >= plan.size_bytes:
-            return
+            break
+    recorder.finish()
+    return truth
 
 
 def _finish(path: Path, truth: TruthKeeper, faults: Faults) -> FileTruth:
