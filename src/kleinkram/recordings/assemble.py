@@ -6,9 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_PROBLEMS
-from kleinkram.recordings.model import Problem, TopicSummary
+from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.tally import Lateness
 from kleinkram.recordings.timeline import Run, Timeline, TopicTimes, bulk, within
+
+_MOST_OF_A_KIND = 3
+_MOST_NAMED = 5
 
 
 class TopicType(NamedTuple):
@@ -95,6 +100,54 @@ def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: T
         names = ", ".join(kind.message_type or "(no type)" for kind in types)
         problems.append(Problem("topic-types-differ", topic.name, f"published with different types: {names}"))
     return problems
+
+
+def pending(kind: RecordingFormat, size_bytes: int, why: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
+    """Return the summary of a recording that would have to be read whole, which was not wanted here."""
+    reason = f"{why}; to know its content, all its {size_bytes} bytes must be read (a scan)"
+    return RecordingSummary(kind, Content.pending, reason, problems=bounded(problems))
+
+
+def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
+    """Say which topics were logged long before or after they were published."""
+    problems = []
+    for topic, late in sorted(lateness.items()):
+        median_s, largest_s = sorted(late.sample)[len(late.sample) // 2] / 1e9, late.largest_ns / 1e9
+        message = (
+            f"{late.count} messages were logged more than 1 s away from their publish time: "
+            f"typically {median_s:+.1f} s, at most {largest_s:+.1f} s"
+        )
+        problems.append(Problem("publish-time-differs", topic, message))
+    return _gathered(problems)
+
+
+def _gathered(problems: Sequence[Problem]) -> list[Problem]:
+    """Put what is said of more than a few topics into one problem."""
+    if len(problems) <= _MOST_OF_A_KIND:
+        return list(problems)
+    first = problems[0]
+    names = ", ".join(problem.where for problem in problems[:_MOST_NAMED])
+    more = ", ..." if len(problems) > _MOST_NAMED else ""
+    return [Problem(first.code, f"{len(problems)} topics", f"{first.where}: {first.message}; likewise {names}{more}")]
+
+
+def tell_readable(messages: int, lost: Lost | None) -> str:
+    """Say what can be read of a damaged file, and what is lost."""
+    readable = f"{messages} messages can be read" if messages != 1 else "1 message can be read"
+    if lost is None:
+        return readable
+    parts = [f"{lost.bytes} bytes"]
+    if lost.chunks:
+        parts.insert(0, f"{lost.chunks} chunks" if lost.chunks > 1 else "1 chunk")
+    parts.append("how many messages is not known" if lost.messages is None else f"{lost.messages} messages")
+    return f"{readable}; lost: {', '.join(parts)}"
+
+
+def tell_damage(damage: Sequence[Malformed]) -> str:
+    """Say where a file is damaged."""
+    first = damage[0]
+    more = f" (and {len(damage) - 1} more damaged places)" if len(damage) > 1 else ""
+    return f"{first.where}: {first.message}{more}"
 
 
 def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:

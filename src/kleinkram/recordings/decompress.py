@@ -1,8 +1,10 @@
-"""Compressed chunks as forward streams: bounded output a step, never more than the chunk claims to hold."""
+"""Compressed chunks: whole ones at once, large ones as forward streams; never more than the chunk claims to hold."""
 
 from __future__ import annotations
 
+import bz2
 from collections.abc import Callable
+from contextlib import suppress
 
 import lz4.frame
 import zstandard
@@ -15,18 +17,94 @@ ReadUpTo = Callable[[int], bytes]
 
 
 def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ForwardStream:
-    """Decompress what `read` returns; `name` as MCAP spells it: "", "lz4" or "zstd".
+    """Decompress what `read` returns; `name` as MCAP or a bag spells it.
 
     Raises:
         Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
     """
-    if name == "":
+    if name in ("", "none"):
         return ForwardStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
+    if name == "bz2":
+        return ForwardStream(_bounded(_bz2(read), uncompressed_bytes))
     if name == "zstd":
         return ForwardStream(_bounded(_zstd(read), uncompressed_bytes))
     if name == "lz4":
         return ForwardStream(_bounded(_lz4(read), uncompressed_bytes))
     raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+
+
+def decompress(name: str, stored: bytes, uncompressed_bytes: int) -> bytes:
+    """Decompress a chunk as a whole; `name` as MCAP or a bag spells it.
+
+    Raises:
+        Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
+    """
+    if name in ("", "none"):
+        raw = stored
+    elif name == "zstd":
+        raw = _zstd_at_once(stored, uncompressed_bytes)
+    elif name in _AT_ONCE:
+        raw, whole = _AT_ONCE[name](stored, uncompressed_bytes)
+        if not whole:
+            raise Malformed("chunk", f"its {name} data break off")
+    else:
+        raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+    if len(raw) != uncompressed_bytes:
+        raise Malformed("chunk", f"{uncompressed_bytes} bytes are claimed, {len(raw)} came out")
+    return raw
+
+
+def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> bytes:
+    """Return what can be had of a chunk whose end is missing, at most `uncompressed_bytes`."""
+    if name in ("", "none"):
+        return stored[:uncompressed_bytes]
+    pieces = [stored]
+    try:
+        return _beginning_of(open_decompressed(name, lambda _: pieces.pop() if pieces else b"", uncompressed_bytes))
+    except Malformed:
+        return b""
+
+
+def _beginning_of(stream: ForwardStream) -> bytes:
+    pieces: list[bytes] = []
+    with suppress(Malformed):
+        pieces.extend(iter(stream.take_any, b""))
+    return b"".join(pieces)
+
+
+def _zstd_at_once(stored: bytes, uncompressed_bytes: int) -> bytes:
+    try:
+        claimed = zstandard.frame_content_size(stored)
+        if claimed == uncompressed_bytes:
+            return zstandard.ZstdDecompressor().decompress(stored)
+    except zstandard.ZstdError as error:
+        raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
+    # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
+    pieces = [stored]
+    stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
+    return b"".join(iter(stream.take_any, b""))
+
+
+def _lz4_at_once(stored: bytes, uncompressed_bytes: int) -> tuple[bytes, bool]:
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    try:
+        # One byte more than claimed, so that the end mark and its checksum are read, too.
+        raw: bytes = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
+    except (RuntimeError, EOFError) as error:
+        raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
+    return raw, decompressor.eof
+
+
+def _bz2_at_once(stored: bytes, uncompressed_bytes: int) -> tuple[bytes, bool]:
+    decompressor = bz2.BZ2Decompressor()
+    try:
+        raw = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
+    except (OSError, EOFError) as error:
+        raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
+    return raw, decompressor.eof
+
+
+_AT_ONCE = {"lz4": _lz4_at_once, "bz2": _bz2_at_once}
 
 
 def _bounded(refill: Refill, most: int) -> Refill:
@@ -88,6 +166,25 @@ def _lz4(read: ReadUpTo) -> Refill:
                 piece: bytes = decompressor.decompress(data, max_length=WINDOW)
             except RuntimeError as error:
                 raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
+            if piece:
+                return piece
+        return b""
+
+    return refill
+
+
+def _bz2(read: ReadUpTo) -> Refill:
+    decompressor = bz2.BZ2Decompressor()
+
+    def refill() -> bytes:
+        while not decompressor.eof:
+            data = read(WINDOW) if decompressor.needs_input else b""
+            if decompressor.needs_input and not data:
+                raise Malformed("chunk", "its bz2 data breaks off")
+            try:
+                piece = decompressor.decompress(data, max_length=WINDOW)
+            except OSError as error:
+                raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
             if piece:
                 return piece
         return b""

@@ -116,9 +116,38 @@ class PipeForward:
         return piece
 
 
+class _Rewound:
+    """A forward whose first bytes were looked at already."""
+
+    def __init__(self, head: bytes, rest: Forward) -> None:
+        self.name = rest.name
+        self.size_bytes = rest.size_bytes
+        self.path = rest.path
+        self._head = head
+        self._rest = rest
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; b"" at the end."""
+        if not self._head:
+            return self._rest.read(length)
+        piece, self._head = self._head[:length], self._head[length:]
+        return piece
+
+
+def peek(forward: Forward, length: int) -> tuple[bytes, Forward]:
+    """Return the first bytes, at most `length`, and what still begins with them. `forward` itself is used up."""
+    pieces: list[bytes] = []
+    have, length = 0, min(length, forward.size_bytes)
+    while have < length and (piece := forward.read(length - have)):
+        pieces.append(piece)
+        have += len(piece)
+    head = b"".join(pieces)
+    return head, _Rewound(head, forward)
+
+
 def from_source(source: Source) -> Forward:
     """Read a source forward."""
-    return SourceForward(source)
+    return SourceForward(source, path=source.path if isinstance(source, FileSource) else None)
 
 
 def from_file(path: str | os.PathLike[str]) -> FileForward:

@@ -57,3 +57,9 @@ MAX_HEADER = 2**20
 
 PARALLEL_READS = 8
 """Ranges in flight over a network."""
+
+MAX_DAMAGE = 10_000
+"""Damaged places of one file that a scan remembers."""
+
+MAX_FACTS = 100
+"""Names of attachments and metadata records that are listed."""

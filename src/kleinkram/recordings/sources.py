@@ -59,7 +59,8 @@ class FileSource:
     parallel_reads = 1
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.name = Path(path).name
+        self.path = Path(path)
+        self.name = self.path.name
         try:
             # Without O_NONBLOCK, a pipe would wait here for somebody to write into it.
             self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

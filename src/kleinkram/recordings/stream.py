@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.forward import Forward
@@ -246,3 +247,25 @@ class Lookahead:
         self._window_start += self.at
         self.window = b"".join(pieces)
         self.at = self._hashed = 0
+
+
+class Decompressed:
+    """The contents of a chunk, forward, as long as it claims to be: a `Forward` for a `Lookahead`."""
+
+    name = "chunk"
+    path: Path | None = None
+
+    def __init__(self, stream: ForwardStream, size_bytes: int) -> None:
+        self.size_bytes = size_bytes
+        self._stream = stream
+
+    def read(self, _length: int) -> bytes:
+        """Return the next bytes.
+
+        Raises:
+            Malformed: they are damaged, or end before `size_bytes`.
+        """
+        piece = self._stream.take_any()
+        if not piece:
+            raise Malformed("chunk", f"{self.size_bytes} bytes are claimed, {self._stream.position} came out")
+        return piece

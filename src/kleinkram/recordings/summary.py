@@ -1,17 +1,28 @@
-"""`summarise`: any file -> what is in it. Whatever the bytes are, the answer is a summary and never an exception."""
+"""`summarise` and `scan`: any file -> what is in it. Whatever the bytes are, the answer is a summary, no exception."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from kleinkram.recordings.assemble import bounded
-from kleinkram.recordings.bag.summary import summarise_bag
-from kleinkram.recordings.mcap.summary import summarise_mcap
-from kleinkram.recordings.model import Content, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sniffing import extension_lies, sniff, sniff_inside_zstd
-from kleinkram.recordings.sources import CountingSource, Source
+from kleinkram.recordings.assemble import bounded, pending
+from kleinkram.recordings.bag.summary import scan_bag, summarise_bag
+from kleinkram.recordings.forward import Forward, from_source, peek
+from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.mcap.summary import scan_mcap, summarise_mcap
+from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings.rosbag2.db3 import scan_db3
+from kleinkram.recordings.sniffing import (
+    LONG_HEAD_BYTES,
+    RECORDINGS,
+    extension_lies,
+    sniff,
+    sniff_head,
+    sniff_inside_zstd,
+)
+from kleinkram.recordings.sources import CountingSource, FileSource, Source
+from kleinkram.recordings.zstd_file import scan_zstd_file
 
-_RECORDINGS = frozenset((RecordingFormat.mcap, RecordingFormat.rosbag1, RecordingFormat.rosbag2_db3))
 _NOT_READ = {
     RecordingFormat.rosbag1_old: "a ROS bag 1.x: convert it with 'rosbag migrate'",
     RecordingFormat.rosbag2_metadata: "the metadata of a rosbag2 recording, not a recording by itself",
@@ -24,36 +35,78 @@ _NOT_READ = {
 }
 
 
-def summarise(source: Source) -> RecordingSummary:
+def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
     """Say what is in a file, by ranges: for an indexed MCAP or bag about its index bytes.
 
-    `content` is `indexed` for a whole MCAP or ROS 1 bag; `broken` where the file itself is at fault, with the place
-    in `reason`; `pending` for a recording that this version does not read (db3, compressed as a whole, without index
-    and very large); `opaque` for anything else.
+    A file without the index that this needs is scanned, if it has at most `most_bytes` (None: of whatever size);
+    else it stays `pending`, and `reason` says what a scan would cost. Otherwise `content` is `indexed` for a whole
+    recording, `recovered` or `broken` where the file itself is at fault, with the place in `reason`, and `opaque` for
+    anything that is not a recording.
 
     Raises:
         SourceError: the bytes cannot be read.
     """
     counting = CountingSource(source)
     kind = sniff(counting)
+    most = source.size_bytes if most_bytes is None else most_bytes
     if kind is RecordingFormat.mcap:
-        summary = summarise_mcap(counting)
+        summary = summarise_mcap(counting, most_bytes=most)
     elif kind is RecordingFormat.rosbag1:
-        summary = summarise_bag(counting)
+        summary = summarise_bag(counting, most_bytes=most)
+    elif kind in _WITHOUT_INDEX:
+        summary = _without_index(source, counting, kind, most)
     else:
-        summary = _recognised(counting, kind)
-    lie = extension_lies(source.name, kind)
-    problems = bounded([lie, *summary.problems]) if lie else summary.problems
-    return replace(summary, problems=problems, bytes_read=counting.bytes_read)
+        summary = _recognised(kind)
+    return replace(_named(summary, source.name, kind), bytes_read=max(counting.bytes_read, summary.bytes_read))
 
 
-def _recognised(source: Source, kind: RecordingFormat) -> RecordingSummary:
+def scan(forward: Forward) -> RecordingSummary:
+    """Say what is in a file by reading all of it, once: every chunk is decompressed, every checksum checked, and of a
+    damaged file everything readable is counted and the loss measured. Memory does not follow the file's size.
+
+    Raises:
+        SourceError: the bytes cannot be read.
+    """
+    head, forward = peek(forward, LONG_HEAD_BYTES)
+    kind = sniff_head(head) if head else RecordingFormat.empty
+    summary = _SCANS[kind](forward) if kind in _SCANS else _recognised(kind)
+    summary = replace(_named(summary, forward.name, kind), depth=Depth.scan)
+    return replace(summary, bytes_read=max(summary.bytes_read, forward.size_bytes if kind in _SCANS else len(head)))
+
+
+def _without_index(source: Source, counting: Source, kind: RecordingFormat, most_bytes: int) -> RecordingSummary:
+    if source.size_bytes > most_bytes:
+        if kind is RecordingFormat.zstd and (inside := sniff_inside_zstd(counting)) not in RECORDINGS:
+            return RecordingSummary(kind, Content.opaque, f"compressed as a whole; inside is {inside.value}")
+        return pending(kind, source.size_bytes, _WITHOUT_INDEX[kind])
+    # A database that is a local file is read in place.
+    forward = from_source(source if isinstance(source, FileSource) else counting)
+    return scan_db3(forward, depth=Depth.summary) if kind is RecordingFormat.rosbag2_db3 else _unpack(forward)
+
+
+def _unpack(forward: Forward) -> RecordingSummary:
+    return scan_zstd_file(forward, scan)
+
+
+def _named(summary: RecordingSummary, name: str, kind: RecordingFormat) -> RecordingSummary:
+    """Add whether the file's name tells the truth."""
+    lie = extension_lies(name, kind)
+    return replace(summary, problems=bounded([lie, *summary.problems])) if lie else summary
+
+
+_WITHOUT_INDEX = {
+    RecordingFormat.rosbag2_db3: "a rosbag2 database (db3) has no index of its messages",
+    RecordingFormat.zstd: "it is compressed as a whole",
+}
+_SCANS: dict[RecordingFormat, Callable[[Forward], RecordingSummary]] = {
+    RecordingFormat.mcap: scan_mcap,
+    RecordingFormat.rosbag1: scan_bag,
+    RecordingFormat.rosbag2_db3: scan_db3,
+    RecordingFormat.zstd: _unpack,
+}
+
+
+def _recognised(kind: RecordingFormat) -> RecordingSummary:
     if kind is RecordingFormat.empty:
         return RecordingSummary(kind, Content.broken, "the file has 0 bytes")
-    if kind is RecordingFormat.rosbag2_db3:
-        return RecordingSummary(kind, Content.pending, "a rosbag2 database (db3), which has no index to read")
-    if kind is RecordingFormat.zstd:
-        inside = sniff_inside_zstd(source)
-        content = Content.pending if inside in _RECORDINGS else Content.opaque
-        return RecordingSummary(kind, content, f"compressed as a whole; inside is {inside.value}")
     return RecordingSummary(kind, Content.opaque, _NOT_READ[kind])

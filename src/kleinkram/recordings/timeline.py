@@ -75,6 +75,18 @@ class TopicTimes:
             self.pending = array("Q", stamps[cut:])
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
+    def append(self, later: TopicTimes) -> None:
+        """Add what is known of stamps that follow in the file."""
+        out_of_order = self.out_of_order + later.out_of_order
+        self.add(later.pending)
+        self.out_of_order = out_of_order
+        self.count += later.count - len(later.pending)
+        self.stored_bytes += later.stored_bytes
+        self.latest_ns = max(self.latest_ns, later.latest_ns)
+        self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or later.gaps_are_upper_bounds
+        for run in later.runs:
+            self._absorb(run)
+
     def _absorb(self, run: Run) -> None:
         if self.runs and run.first_ns < self.runs[-1].last_ns:
             late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
@@ -152,6 +164,12 @@ class Timeline:
         if times is None:
             times = self.topics[name] = TopicTimes()
         return times
+
+    def rename(self, old: str, new: str) -> None:
+        """Give the messages of a topic to another one, as if they stood behind those that it has."""
+        times = self.topics.pop(old, None)
+        if times is not None:
+            self.topic(new).append(times)
 
     def add(self, name: str, stamps: Sequence[int], stored_bytes: int) -> None:
         """Add messages of one topic, in the order of the file."""

@@ -16,13 +16,13 @@ from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
 from kleinkram.recordings.stream import ForwardStream
 
 MAGIC = b"#ROSBAG V2.0\n"
-BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 0x03, 0x04, 0x05, 0x06, 0x07
+MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
 CHUNK_HEAD_BYTES = 64
 """Enough for the header of a chunk record as every known writer writes it, with the length of its data."""
 
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
-_INDEX_ENTRY_BYTES = 12
+INDEX_ENTRY_BYTES = 12
 _INDEX_HEAD_BYTES = 4 + (4 + 4) + (4 + 8) + (4 + 9) + (4 + 10) + 4
 
 
@@ -72,6 +72,10 @@ class Fields:
         if len(raw) > MAX_NAME:
             raise Malformed(self._where, f"a {name} of {len(raw)} bytes; at most {MAX_NAME} are read", certain=False)
         return raw.decode("utf-8", "replace")
+
+    def blob(self, name: str) -> bytes:
+        """Return a field as it is; empty where there is none."""
+        return self._values.get(name.encode(), b"")
 
     def _raw(self, name: str) -> bytes:
         try:
@@ -143,7 +147,7 @@ def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:
     if len(data) != 8 * fields.u32("count"):
         raise Malformed(where, "a chunk info whose length does not fit its count")
     counts = array_u32(data)[1::2]
-    index_bytes = len(counts) * _INDEX_HEAD_BYTES + _INDEX_ENTRY_BYTES * sum(counts)
+    index_bytes = len(counts) * _INDEX_HEAD_BYTES + INDEX_ENTRY_BYTES * sum(counts)
     return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), sum(counts), index_bytes)
 
 
@@ -162,7 +166,7 @@ def read_index_data(stream: ForwardStream) -> tuple[int, list[int], array[int]]:
     fields, data_bytes = read_fields(stream)
     if fields.opcode() != INDEX_DATA or fields.u32("ver") != 1:
         raise Malformed(where, "something else where index data should be")
-    if data_bytes != _INDEX_ENTRY_BYTES * fields.u32("count"):
+    if data_bytes != INDEX_ENTRY_BYTES * fields.u32("count"):
         raise Malformed(where, "index data whose length does not fit its count")
     flat = array_u32(stream.take(data_bytes))
     stamps = [s * 1_000_000_000 + n for s, n in zip(flat[0::3], flat[1::3], strict=True)]

@@ -7,16 +7,18 @@ without index (its recorder was killed) is broken here; reading it from end to e
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
-from kleinkram.recordings.assemble import TopicType, bounded, measure
+from kleinkram.recordings.assemble import TopicType, bounded, measure, pending, tell_damage, tell_readable
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import ChunkInfo, Connection
+from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
-from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
 from kleinkram.recordings.sources import Source, read_ranges
 from kleinkram.recordings.stream import Cut, ForwardStream, open_bytes, open_range
@@ -38,8 +40,9 @@ class _Bag:
     problems: list[Problem] = field(default_factory=list)
 
 
-def summarise_bag(source: Source) -> RecordingSummary:
-    """Summarise a file that begins with the magic of a ROS 1 bag 2.0.
+def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
+    """Summarise a file that begins with the magic of a ROS 1 bag 2.0; scan it where that is impossible, if it has at
+    most `most_bytes`.
 
     Raises:
         SourceError: as `Source.read`.
@@ -50,9 +53,56 @@ def summarise_bag(source: Source) -> RecordingSummary:
         _read_index_section(source, bag, connections, chunks)
         _read_chunk_indexes(source, bag)
     except Malformed as error:
-        content = Content.broken if error.certain else Content.pending
-        return RecordingSummary(RecordingFormat.rosbag1, content, f"{error.message}, at {error.where}")
-    return _summary(bag)
+        if source.size_bytes > most_bytes:
+            return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
+        return scan_bag(from_source(source))
+    return _summary(bag.timeline, bag.connections, bag.compression, bag.problems)
+
+
+def scan_bag(forward: Forward) -> RecordingSummary:
+    """Read all of a file that begins with the magic of a ROS 1 bag 2.0.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    scan = scan_bag_records(forward)
+    losses, messages = scan.losses, scan.tally.messages
+    problems = [Problem("damaged", fault.where, fault.message) for fault in losses.damage[:MAX_PROBLEMS]]
+    problems += [Problem("index-damaged", fault.where, fault.message) for fault in losses.index_faults[:MAX_PROBLEMS]]
+    lost = losses.total(claimed=scan.listed, found=messages)
+    if scan.listed is not None and scan.listed != messages and not problems:
+        message = f"the index says {scan.listed} messages, the file holds {messages}"
+        problems.append(Problem("counts-disagree", forward.name, message))
+    whole = bool(scan.index_start) and not losses.damage and scan.refused is None
+    reason = None if whole else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
+    summary = _summary(scan.tally.timeline, scan.facts.connections, scan.compression, problems)
+    return replace(summary, content=_content(scan, whole=whole), reason=reason, depth=Depth.scan, lost=lost)
+
+
+def _content(scan: BagScan, *, whole: bool) -> Content:
+    if whole:
+        return Content.indexed
+    if scan.refused is not None:
+        return Content.opaque
+    if scan.tally.messages:
+        return Content.recovered
+    damage = scan.losses.damage
+    return Content.broken if any(fault.certain for fault in damage) or not damage else Content.opaque
+
+
+def _what_is_wrong(scan: BagScan) -> str:
+    parts = []
+    if scan.refused is not None:
+        return f"{scan.refused.message}, at {scan.refused.where}"
+    if scan.index_start == 0:
+        parts.append("it was not closed by its recorder, so it has no index (index_pos is 0)")
+    if scan.losses.damage:
+        parts.append(f"it is damaged at {tell_damage(scan.losses.damage)}")
+    if scan.index_start is None:
+        parts.append("it has no bag header")
+    if scan.losses.unproven:
+        parts.append(f"{scan.losses.unproven} messages were saved from the beginning of a cut chunk")
+    return "; ".join(parts)
 
 
 def _read_bag_header(source: Source) -> tuple[int, int, int]:
@@ -181,22 +231,25 @@ def _read_chunk_entries(stream: ForwardStream, bag: _Bag, chunk: ChunkInfo) -> l
     return list(by_topic.values())
 
 
-def _summary(bag: _Bag) -> RecordingSummary:
+def _summary(
+    timeline: Timeline, connections: Mapping[int, Connection], compression: set[str], problems: Sequence[Problem]
+) -> RecordingSummary:
     types: dict[str, list[TopicType]] = {}
-    for connection in bag.connections.values():
+    for connection in connections.values():
+        timeline.topic(connection.topic)
         kind = TopicType(connection.message_type, "ros1msg", "ros1")
         known = types.setdefault(connection.topic, [])
         if kind not in known:
             known.append(kind)
-    measured = measure(bag.timeline, types)
+    measured = measure(timeline, types)
     return RecordingSummary(
         format=RecordingFormat.rosbag1,
         content=Content.indexed,
         message_count=measured.message_count,
         start_ns=measured.start_ns,
         end_ns=measured.end_ns,
-        compression=tuple(sorted(bag.compression)),
+        compression=tuple(sorted(compression)),
         topics=measured.topics,
-        problems=bounded([*bag.problems, *measured.problems]),
+        problems=bounded([*problems, *measured.problems]),
         profile="ros1",
     )

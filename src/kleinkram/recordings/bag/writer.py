@@ -19,7 +19,6 @@ from kleinkram.recordings.bag import records
 
 CHUNK_BYTES = 768 * 1024
 _BAG_HEADER_BYTES = 4096
-_MESSAGE_OPCODE = 0x02
 _LZ4_BLOCK_1MB = 6
 
 
@@ -92,7 +91,7 @@ class BagWriter:
         index.extend((seconds, nanoseconds, chunk.size))
         chunk.times.append(log_time_ns)
         time = struct.pack("<II", seconds, nanoseconds)
-        head = _fields(op=bytes([_MESSAGE_OPCODE]), conn=_u32(connection), time=time)
+        head = _fields(op=bytes([records.MESSAGE]), conn=_u32(connection), time=time)
         front = _u32(len(head)) + head + _u32(len(payload))
         chunk.pieces.append(front)
         chunk.pieces.append(payload)

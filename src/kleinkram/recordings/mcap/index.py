@@ -26,6 +26,8 @@ _MOST_RECORDS_WALKED = 10_000
 _READERS = {
     records.CHUNK_INDEX: records.read_chunk_index,
     records.STATISTICS: records.read_statistics,
+    records.ATTACHMENT_INDEX: records.read_attachment_index,
+    records.METADATA_INDEX: records.read_metadata_index,
 }
 _DEFINITIONS = {
     records.SCHEMA: records.read_schema,
@@ -106,10 +108,6 @@ def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
         head = stream.take(min(length, _HEAD_OF_DEFINITION))
         _DEFINITIONS[opcode](facts, head, where)
         length -= len(head)
-    elif opcode == records.ATTACHMENT_INDEX:
-        facts.attachments += 1
-    elif opcode == records.METADATA_INDEX:
-        facts.metadata_records += 1
     stream.skip(length)
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.limits import MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -21,8 +22,9 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
-_STATISTICS = struct.Struct("<QHIIIIQQ")
+STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
+_ATTACHMENT_PLACE = struct.Struct("<QQQQQ")
 
 
 class Schema(NamedTuple):
@@ -74,6 +76,7 @@ class McapFacts:
     compression: set[str] = field(default_factory=set)
     attachments: int = 0
     metadata_records: int = 0
+    listed: list[Fact] = field(default_factory=list)
 
 
 class BodyReader:
@@ -164,8 +167,47 @@ def _count_names(facts: McapFacts, where: str, *names: str) -> None:
 def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
     """Note the statistics."""
     reader = BodyReader(body, where)
-    messages, _schemas, channels, attachments, metadata_records, _chunks, _start, _end = reader.fields(_STATISTICS)
+    messages, _schemas, channels, attachments, metadata_records, _chunks, _start, _end = reader.fields(STATISTICS_BODY)
     facts.statistics = Statistics(messages, channels, attachments, metadata_records)
+
+
+def read_attachment(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note an attachment. The body may be cut behind the size of its data."""
+    reader = BodyReader(body, where)
+    reader.fields(_PAIR_U64)
+    name, media_type = reader.text(), reader.text()
+    _note_attachment(facts, name, media_type, reader.fields(_U64)[0])
+
+
+def read_attachment_index(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note an attachment, by its index."""
+    reader = BodyReader(body, where)
+    size_bytes = reader.fields(_ATTACHMENT_PLACE)[4]
+    _note_attachment(facts, reader.text(), reader.text(), size_bytes)
+
+
+def _note_attachment(facts: McapFacts, name: str, media_type: str, size_bytes: int) -> None:
+    facts.attachments += 1
+    if len(facts.listed) < MAX_FACTS:
+        facts.listed.append(Fact("attachment", f"{name} ({media_type or 'of no type'}, {size_bytes} bytes)"))
+
+
+def read_metadata(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note a metadata record. The body may be cut behind the name."""
+    _note_metadata(facts, BodyReader(body, where).text())
+
+
+def read_metadata_index(facts: McapFacts, body: bytes, where: str) -> None:
+    """Note a metadata record, by its index."""
+    reader = BodyReader(body, where)
+    reader.fields(_PAIR_U64)
+    _note_metadata(facts, reader.text())
+
+
+def _note_metadata(facts: McapFacts, name: str) -> None:
+    facts.metadata_records += 1
+    if len(facts.listed) < MAX_FACTS:
+        facts.listed.append(Fact("metadata", name))
 
 
 def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:

@@ -1,34 +1,38 @@
-"""Reading an MCAP from its first byte to its last, for files whose index is missing or cannot be believed.
+"""Reading an MCAP from its first byte to its last: every record, every chunk, every CRC.
 
-Decompresses in small steps, so memory does not follow what chunks claim; checks the CRC of every chunk, attachment
-and of the data section; keeps no message. A damaged chunk is left out and reading goes on behind it; where the records
-themselves break off, reading ends.
+Holds one chunk of at most `MAX_AT_ONCE` bytes (larger ones are decompressed in small steps), keeps no message, and
+goes on behind damage: behind a chunk that cannot be believed, and, where the records themselves break off, at the next
+place where one can begin. What is left out on the way is measured.
 """
 
 from __future__ import annotations
 
 import struct
-from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_NAME
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.records import McapFacts
-from kleinkram.recordings.sources import Source
-from kleinkram.recordings.stream import Cut, ForwardStream, open_range
-from kleinkram.recordings.timeline import Timeline
+from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
+from kleinkram.recordings.losses import ListedChunk, Losses
+from kleinkram.recordings.mcap import chunks, records
+from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, record_end
+from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
+from kleinkram.recordings.mcap.walking import walk_messages
+from kleinkram.recordings.stream import Cut, Lookahead
+from kleinkram.recordings.tally import Batch, Tally
 
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_U64 = struct.Struct("<Q")
+_FLUSH_BYTES = 8 * 2**20
+_SEARCH_BYTES = 4 * 2**20
 _U32 = struct.Struct("<I")
-_HEAD_OF_DEFINITION = 3 * 4096 + 16
-_FLUSH_AT = 1_000_000
-_MOST_DAMAGE = 10_000
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
+_READERS = {
+    records.HEADER: records.read_header,
+    records.SCHEMA: records.read_schema,
+    records.CHANNEL: records.read_channel,
+    records.STATISTICS: records.read_statistics,
+    records.CHUNK_INDEX: records.read_chunk_index,
+    records.METADATA: records.read_metadata,
+}
 
 
 @dataclass
@@ -36,189 +40,272 @@ class Scan:
     """What a scan found.
 
     Attributes:
-        damage: what is wrong, in the order of the file; empty for a whole file.
-        ended: the place and reason where reading could not go on; None if the data section was read to its end.
+        closed: the file ends as its writer meant it to.
+        chunks: that could be read.
     """
 
     facts: McapFacts = field(default_factory=McapFacts)
-    damage: list[Malformed] = field(default_factory=list)
-    ended: Malformed | None = None
-
-
-class _Batch:
-    """Messages of some records, not yet in the timeline: a chunk's only count once its CRC is right."""
-
-    def __init__(self) -> None:
-        self.stamps: dict[int, array[int]] = {}
-        self.sizes: dict[int, int] = {}
-        self.count = 0
-
-    def add(self, channel_id: int, log_time: int, size: int) -> None:
-        stamps = self.stamps.get(channel_id)
-        if stamps is None:
-            stamps = self.stamps[channel_id] = array("Q")
-            self.sizes[channel_id] = 0
-        stamps.append(log_time)
-        self.sizes[channel_id] += size
-        self.count += 1
+    tally: Tally = field(default_factory=Tally)
+    losses: Losses = field(default_factory=Losses)
+    closed: bool = False
+    chunks: int = 0
 
 
 class _Scanner:
-    def __init__(self, source: Source, timeline: Timeline) -> None:
+    def __init__(self, forward: Forward) -> None:
         self.scan = Scan()
-        self._source = source
-        self._timeline = timeline
-        self._loose = _Batch()
-        self._data_ended = False
+        self._stream = Lookahead(forward)
+        self._loose: Batch = {}
+        self._loose_bytes = 0
+        self._listed: ListedChunk | None = None
+        self._data_end: int | None = None
 
     def run(self) -> Scan:
-        stream = open_range(self._source, 0, self._source.size_bytes)
-        stream.start_crc()
-        try:
-            stream.skip(len(records.MAGIC))
-            while self._read_record(stream):
-                pass
-        except Malformed as error:
-            self.scan.ended = error
-        self._flush(self._loose, 1, 1)
-        self._timeline.settle(None)
-        return self.scan
+        scan, stream = self.scan, self._stream
+        stream.advance(min(len(records.MAGIC), stream.left))
+        while stream.left and not scan.closed:
+            self._step()
+        self._flush_loose()
+        self._end_chunk()
+        nameless = scan.tally.finish()
+        if nameless:
+            self.scan.losses.note(
+                Malformed("channels", f"{nameless} messages are on channels that the file does not define")
+            )
+            scan.losses.messages += nameless
+        if stream.left:
+            self._give_up(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
+        return scan
 
-    def _read_record(self, stream: ForwardStream) -> bool:
-        """Read one record at the top level; False at the footer."""
-        start, crc = stream.position, stream.crc
-        if stream.at_end():
-            raise Cut(f"byte {start}", "the file ends without a footer")
-        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        left = self._source.size_bytes - stream.position
+    def _step(self) -> None:
+        """Pass over some messages, over one other record, or over damage."""
+        stream = self._stream
+        stream.ahead(LOOK)
+        walked = walk_messages(stream.window, stream.at, len(stream.window), self._loose) - stream.at
+        if walked:
+            self._end_chunk()
+            self._pass_loose(walked)
+            return
+        where = f"byte {stream.position}"
+        if stream.left < RECORD_HEAD.size:
+            self._give_up(Cut(where, "the file ends within a record"))
+            return
+        opcode, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
+        stream.ahead(RECORD_HEAD.size + min(length, WINDOW))
+        try:
+            self._check(opcode, length, where)
+            self._pass_record(opcode, length, where)
+        except Cut as cut:
+            if opcode == records.CHUNK:
+                self._read_cut_chunk(cut)
+            else:
+                self._resync(cut)
+        except Malformed as error:
+            self._resync(error)
+
+    def _check(self, opcode: int, length: int, where: str) -> None:
+        stream = self._stream
+        wrong = fault(stream.window, stream.at, opcode, length)
+        if wrong:
+            raise Malformed(where, wrong)
+        left = stream.left - RECORD_HEAD.size
         if length > left:
             name = _NAMES.get(opcode, "a record")
-            raise Cut(f"byte {start}", f"{name} of {length} bytes begins, but only {left} bytes follow")
-        if opcode == records.FOOTER:
-            return False
-        if opcode == records.DATA_END:
-            self._check_data_end(stream, length, crc, start)
-            self._data_ended = True
-        elif opcode == records.CHUNK:
-            self._read_chunk(stream, start, length)
-        elif opcode == records.ATTACHMENT:
-            self._read_attachment(stream, start, length)
+            raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
+
+    def _pass_record(self, opcode: int, length: int, where: str) -> None:
+        """Read a record that is there as a whole.
+
+        Raises:
+            Malformed: it cannot be one; nothing was passed over.
+        """
+        stream, total = self._stream, RECORD_HEAD.size + length
+        body_at = stream.at + RECORD_HEAD.size
+        if opcode == records.MESSAGE_INDEX:
+            self._note_listed()
         else:
-            self._read_common(stream, opcode, length, self._loose)
-        if self._loose.count >= _FLUSH_AT:
-            self._flush(self._loose, 1, 1)
-            self._loose = _Batch()
-        return True
+            self._end_chunk()
+        if opcode == records.CHUNK:
+            self._pass_chunk(total)
+        elif opcode == records.ATTACHMENT:
+            self._pass_attachment(length, where)
+        elif opcode == records.FOOTER:
+            self._pass_footer(where)
+        elif opcode == records.DATA_END:
+            self._pass_data_end(total, where)
+        elif opcode == records.MESSAGE:
+            chunks.read_large_message(stream, self._loose)
+            self._pass_loose(total)
+        else:
+            if opcode in _READERS:
+                body = stream.window[body_at : body_at + min(length, WINDOW)]
+                _READERS[opcode](self.scan.facts, body, where)
+            stream.advance(total)
 
-    def _read_common(self, stream: ForwardStream, opcode: int, length: int, batch: _Batch) -> None:
-        """Read a record that may stand in a chunk or outside of one."""
-        facts, where, end = (
-            self.scan.facts,
-            f"byte {stream.position - records.RECORD_HEAD.size}",
-            stream.position + length,
-        )
-        if opcode == 0:
-            raise Malformed(where, "only zeros or rubbish where a record should begin")
-        if opcode == records.MESSAGE:
-            channel_id, _sequence, log_time, _publish_time = _unpack(_MESSAGE_HEAD, stream, length)
-            if channel_id not in facts.channels:
-                raise Malformed(where, f"a message on channel {channel_id}, which the file does not define")
-            batch.add(channel_id, log_time, records.RECORD_HEAD.size + length)
-        elif opcode == records.SCHEMA:
-            records.read_schema(facts, stream.take(min(length, _HEAD_OF_DEFINITION)), where)
-        elif opcode == records.CHANNEL:
-            records.read_channel(facts, stream.take(min(length, _HEAD_OF_DEFINITION)), where)
-        elif opcode == records.HEADER:
-            records.read_header(facts, stream.take(min(length, _HEAD_OF_DEFINITION)), where)
-        elif opcode == records.STATISTICS:
-            records.read_statistics(facts, stream.take(length), where)
-        elif opcode == records.METADATA:
-            facts.metadata_records += 1
-        stream.skip(end - stream.position)
-
-    def _read_chunk(self, stream: ForwardStream, start: int, length: int) -> None:
-        end = stream.position + length
+    def _pass_chunk(self, total: int) -> None:
+        stream, scan = self._stream, self.scan
+        start = stream.position
+        head = chunks.read_chunk_head(stream.window, stream.at)
+        scan.facts.compression.add(head.compression or "none")
+        before = scan.tally.messages
         try:
-            self._read_chunk_body(stream, start, length)
+            fault = self._read_chunk(head, total)
         except Malformed as error:
-            self._note(Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
-        stream.skip(end - stream.position)
+            damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
+            self._leave_chunk(start, total, scan.tally.messages - before, damage)
+            return
+        scan.chunks += 1
+        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=fault is not None)
+        if fault is not None:
+            self.scan.losses.note(Malformed(f"chunk at byte {start}", fault.message, certain=fault.certain))
+            scan.losses.chunks += 1
 
-    def _read_chunk_body(self, stream: ForwardStream, start: int, length: int) -> None:
-        end = stream.position + length
-        _first, _last, uncompressed, crc, name_length = _unpack(_CHUNK_HEAD, stream, length)
-        name = stream.take(min(name_length, MAX_NAME)).decode("utf-8", "replace")
-        (stored,) = _unpack(_U64, stream, length)
-        if stored != end - stream.position:
-            raise Malformed(f"byte {start}", f"{stored} bytes are claimed, {end - stream.position} are there")
-        self.scan.facts.compression.add(name or "none")
-        inner = open_decompressed(name, _limited(stream, stored), uncompressed)
-        inner.start_crc()
-        batch = _Batch()
-        while not inner.at_end():
-            opcode, inner_length = records.RECORD_HEAD.unpack(inner.take(records.RECORD_HEAD.size))
-            self._read_common(inner, opcode, inner_length, batch)
-            if batch.count >= _FLUSH_AT:
-                self._flush(batch, stored, uncompressed)
-                batch = _Batch()
-        if inner.position != uncompressed:
-            raise Malformed(f"byte {start}", f"{uncompressed} bytes are claimed, {inner.position} came out")
-        if crc and inner.crc != crc:
-            raise Malformed(f"byte {start}", "its checksum is wrong")
-        self._flush(batch, stored, uncompressed)
+    def _read_chunk(self, head: chunks.ChunkHead, total: int) -> Malformed | None:
+        """Pass over a chunk; return why not all of it could be followed.
 
-    def _read_attachment(self, stream: ForwardStream, start: int, length: int) -> None:
-        self.scan.facts.attachments += 1
-        if length < _U32.size:
-            raise Malformed(f"byte {start}", "an attachment too short to be one")
-        stream.start_crc()
-        stream.skip(length - _U32.size)
-        crc = stream.stop_crc()
-        (claimed,) = _unpack(_U32, stream, _U32.size)
+        Raises:
+            Malformed: nothing in it can be believed.
+        """
+        stream, scan = self._stream, self.scan
+        if max(total, head.uncompressed) > MAX_AT_ONCE:
+            end = stream.position + total
+            stream.advance(head.data_start)
+            chunks.read_large_chunk(stream, head, scan.facts, scan.tally)
+            stream.advance(end - stream.position)
+            return None
+        stream.ahead(total + LOOK)
+        batch: Batch = {}
+        stored = stream.window[stream.at + head.data_start : stream.at + total]
+        contents = chunks.read_chunk(stored, head, scan.facts, batch)
+        chunks.define(scan.facts, scan.tally)
+        scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+        stream.advance(total)
+        return contents.fault
+
+    def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
+        """Go on behind a damaged chunk, if something stands there; else search."""
+        stream, scan = self._stream, self.scan
+        scan.losses.chunks += 1
+        if stream.position == start and stream.left > total:
+            after = stream.at + total
+            if after < len(stream.window) and record_end(stream.window, after, stream.left - total) is None:
+                self._resync(damage)
+                return
+        self.scan.losses.note(damage)
+        stream.advance(start + total - stream.position)
+        scan.losses.bytes += total
+        self._listed = ListedChunk(start, found, damaged=True)
+
+    def _read_cut_chunk(self, cut: Cut) -> None:
+        """Save what there is of a chunk that reaches beyond the end of the file."""
+        stream, scan = self._stream, self.scan
+        self._end_chunk()
+        head = chunks.read_chunk_head(stream.window, stream.at)
+        scan.facts.compression.add(head.compression or "none")
+        before, used = scan.tally.messages, 0
+        if max(stream.left, head.uncompressed) > MAX_AT_ONCE:
+            try:
+                stream.advance(head.data_start)
+                chunks.read_large_chunk(stream, head, scan.facts, scan.tally)
+            except Malformed:
+                used = 0
+        else:
+            stream.ahead(stream.left)
+            batch: Batch = {}
+            stored = stream.window[stream.at + head.data_start :]
+            used = chunks.read_beginning(stored, head, scan.facts, batch)
+            chunks.define(scan.facts, scan.tally)
+            scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+        scan.losses.unproven += scan.tally.messages - before
+        scan.losses.chunks += 1
+        self._give_up(cut, used + head.data_start if used else 0)
+
+    def _pass_attachment(self, length: int, where: str) -> None:
+        stream = self._stream
+        body_at = stream.at + RECORD_HEAD.size
+        records.read_attachment(self.scan.facts, stream.window[body_at : body_at + min(length, WINDOW)], where)
+        stream.advance(RECORD_HEAD.size)
+        crc = stream.digest(length - _U32.size)
+        (claimed,) = _U32.unpack(stream.read_up_to(_U32.size))
         if claimed and claimed != crc:
-            self._note(Malformed(f"attachment at byte {start}", "its checksum is wrong"))
+            self.scan.losses.note(Malformed(f"attachment at {where}", "its checksum is wrong"))
 
-    def _check_data_end(self, stream: ForwardStream, length: int, crc: int, start: int) -> None:
-        (claimed,) = _unpack(_U32, stream, length)
-        stream.skip(length - _U32.size)
-        if claimed and claimed != crc and not self._data_ended:
-            self._note(Malformed(f"data section (bytes 0 to {start})", "its checksum is wrong"))
+    def _pass_data_end(self, total: int, where: str) -> None:
+        stream = self._stream
+        (claimed,) = _U32.unpack_from(stream.window, stream.at + RECORD_HEAD.size)
+        if self._data_end is None and claimed and claimed != stream.crc() and not self.scan.losses.damage:
+            place = f"data section (to {where})"
+            self.scan.losses.note(
+                Malformed(place, "its checksum is wrong: some of its bytes are not as they were written")
+            )
+        stream.advance(total)
+        stream.restart_crc()
+        self._data_end = stream.position
 
-    def _note(self, fault: Malformed) -> None:
-        if len(self.scan.damage) < _MOST_DAMAGE:
-            self.scan.damage.append(fault)
+    def _pass_footer(self, where: str) -> None:
+        stream = self._stream
+        body_at = stream.at + RECORD_HEAD.size
+        summary_start, _offsets_start, claimed = records.FOOTER_BODY.unpack_from(stream.window, body_at)
+        stream.advance(RECORD_HEAD.size + records.FOOTER_BODY.size - _U32.size)
+        if claimed and summary_start == self._data_end and claimed != stream.crc() and not self.scan.losses.damage:
+            self.scan.losses.note_index(Malformed(where, "the checksum of the summary section is wrong"))
+        stream.advance(_U32.size + len(records.MAGIC))
+        self.scan.closed = True
 
-    def _flush(self, batch: _Batch, stored: int, uncompressed: int) -> None:
-        for channel_id, stamps in batch.stamps.items():
-            share = batch.sizes[channel_id] * stored // uncompressed if uncompressed else 0
-            self._timeline.add(self.scan.facts.channels[channel_id].topic, stamps, share)
-        self._timeline.settle(0)
+    def _note_listed(self) -> None:
+        stream = self._stream
+        if self._listed is not None:
+            (entries_bytes,) = _U32.unpack_from(stream.window, stream.at + RECORD_HEAD.size + 2)
+            self._listed.records += 1
+            self._listed.messages += entries_bytes // 16
+
+    def _end_chunk(self) -> None:
+        """Compare the chunk before with its message indexes."""
+        if self._listed is not None:
+            self._listed.settle(self.scan.losses)
+            self._listed = None
+
+    def _pass_loose(self, length: int) -> None:
+        """Pass over messages outside of chunks that are in the batch already."""
+        self._stream.advance(length)
+        self._loose_bytes += length
+        if self._loose_bytes > _FLUSH_BYTES:
+            self._flush_loose()
+
+    def _flush_loose(self) -> None:
+        chunks.define(self.scan.facts, self.scan.tally)
+        self.scan.tally.add(self._loose)
+        self._loose, self._loose_bytes = {}, 0
+
+    def _resync(self, damage: Malformed) -> None:
+        """Pass over damage, up to the next place where a record stands."""
+        stream, scan = self._stream, self.scan
+        self._end_chunk()
+        self.scan.losses.note(damage)
+        scan.losses.messages_are_known = False
+        start = stream.position
+        stream.advance(1)
+        while stream.left:
+            at_hand = stream.ahead(_SEARCH_BYTES)
+            width = at_hand if at_hand == stream.left else at_hand - LOOK
+            found = find_record(stream.window, stream.at, stream.at + width, stream.left, scan.facts.channels)
+            stream.advance(width if found is None else found - stream.at)
+            if found is not None:
+                break
+        scan.losses.bytes += stream.position - start
+
+    def _give_up(self, damage: Malformed, used: int = 0) -> None:
+        """Leave out the rest of the file, all but the first `used` bytes of which are lost."""
+        self.scan.losses.note(damage)
+        self.scan.losses.bytes += max(0, self._stream.left - used)
+        self.scan.losses.messages_are_known = False
+        self._stream.advance(self._stream.left)
 
 
-def scan_mcap(source: Source, timeline: Timeline) -> Scan:
-    """Read the whole file into the timeline. The content of the file never raises.
+def scan_records(forward: Forward) -> Scan:
+    """Read a whole file. Its content never raises.
 
     Raises:
-        SourceError: as `Source.read`.
+        SourceError: as `Forward.read`.
     """
-    return _Scanner(source, timeline).run()
-
-
-def _unpack(layout: struct.Struct, stream: ForwardStream, length: int) -> tuple[int, ...]:
-    """Read fixed fields of a record that claims `length` bytes."""
-    if length < layout.size:
-        raise Malformed(f"byte {stream.position}", f"a record of {length} bytes, too short for its type")
-    return layout.unpack(stream.take(layout.size))
-
-
-def _limited(stream: ForwardStream, length: int) -> Callable[[int], bytes]:
-    """Read up to n of the next `length` bytes of a stream; empty behind them."""
-    left = length
-
-    def read(most: int) -> bytes:
-        nonlocal left
-        data = stream.take(min(most, left))
-        left -= len(data)
-        return data
-
-    return read
+    return _Scanner(forward).run()

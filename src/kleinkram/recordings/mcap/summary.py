@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from kleinkram.recordings.assemble import Measured, TopicType, bounded, measure
+from kleinkram.recordings.assemble import (
+    Measured,
+    TopicType,
+    bounded,
+    measure,
+    pending,
+    tell_damage,
+    tell_lateness,
+    tell_readable,
+)
 from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.forward import Forward, from_source
+from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
 from kleinkram.recordings.mcap.records import McapFacts
-from kleinkram.recordings.mcap.scan import Scan, scan_mcap
-from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.mcap.scan import Scan, scan_records
+from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range
 from kleinkram.recordings.timeline import Timeline
@@ -19,38 +30,53 @@ from kleinkram.recordings.timeline import Timeline
 _HEAD_WINDOW = 4096
 
 
-def summarise_mcap(source: Source) -> RecordingSummary:
-    """Summarise a file that begins with the magic of MCAP.
+def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
+    """Summarise a file that begins with the magic of MCAP; scan it where that is impossible, if it has at most
+    `most_bytes`.
 
     Raises:
         SourceError: as `Source.read`.
     """
     footer = read_footer(source)
     problems: list[Problem] = []
+    why = "it was never closed, so it has no index"
     if footer is not None:
         timeline = Timeline()
         try:
             facts = read_index(source, footer, timeline)
         except NotIndexed as refusal:
+            why = str(refusal)
             if refusal.is_problem:
-                problems.append(Problem(refusal.code, source.name, str(refusal)))
+                problems.append(Problem(refusal.code, source.name, why))
         else:
             _read_header(source, facts, problems)
             return _summary(Content.indexed, None, facts, timeline, problems)
-    if source.size_bytes > MAX_SCAN_BYTES:
-        reason = f"it has no usable index and is larger than {MAX_SCAN_BYTES // 2**30} GiB: it must be scanned first"
-        return RecordingSummary(RecordingFormat.mcap, Content.pending, reason, problems=tuple(problems))
-    timeline = Timeline()
-    scan = scan_mcap(source, timeline)
-    messages = sum(times.count for times in timeline.topics.values())
-    why = _why_not_whole(scan, whole=footer is not None, messages=messages)
-    problems += [Problem("damaged", fault.where, fault.message) for fault in scan.damage]
-    claimed = scan.facts.statistics
-    if claimed is not None and claimed.messages != messages and not problems:
+    if source.size_bytes > most_bytes:
+        return pending(RecordingFormat.mcap, source.size_bytes, why, problems)
+    return scan_mcap(from_source(source), problems)
+
+
+def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
+    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    scan = scan_records(forward)
+    found = [
+        *problems,
+        *(Problem("damaged", fault.where, fault.message) for fault in scan.losses.damage[:MAX_PROBLEMS]),
+    ]
+    found += [Problem("index-damaged", fault.where, fault.message) for fault in scan.losses.index_faults[:MAX_PROBLEMS]]
+    claimed, messages = scan.facts.statistics, scan.tally.messages
+    if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
-        problems.append(Problem("counts-disagree", source.name, message))
-    content = _content(scan, why)
-    return _summary(content, why, scan.facts, timeline, problems)
+        found.append(Problem("counts-disagree", forward.name, message))
+    found += tell_lateness(scan.tally.lateness)
+    content, lost = _content(scan), scan.losses.total(claimed=claimed.messages if claimed else None, found=messages)
+    reason = None if content is Content.indexed else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
+    summary = _summary(content, reason, scan.facts, scan.tally.timeline, found)
+    return replace(summary, depth=Depth.scan, lost=lost)
 
 
 def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> None:
@@ -66,26 +92,28 @@ def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> N
         problems.append(Problem("header-damaged", error.where, error.message))
 
 
-def _content(scan: Scan, why: str | None) -> Content:
-    if why is None:
+def _content(scan: Scan) -> Content:
+    if scan.closed and not scan.losses.damage:
         return Content.indexed
-    faults = [*scan.damage, *([scan.ended] if scan.ended else [])]
-    return Content.pending if faults and not any(fault.certain for fault in faults) else Content.broken
+    if scan.tally.messages or scan.facts.attachments or scan.facts.metadata_records:
+        return Content.recovered
+    return (
+        Content.broken
+        if any(fault.certain for fault in scan.losses.damage) or not scan.losses.damage
+        else Content.opaque
+    )
 
 
-def _why_not_whole(scan: Scan, *, whole: bool, messages: int) -> str | None:
-    if scan.ended is not None:
-        cut = "" if whole else "it has no footer, so it was cut or never closed: "
-        cause = f"{cut}{scan.ended.message}, at {scan.ended.where}"
-    elif scan.damage:
-        first = scan.damage[0]
-        more = f" (and {len(scan.damage) - 1} more damaged places)" if len(scan.damage) > 1 else ""
-        cause = f"the {first.where} is damaged: {first.message}{more}"
-    elif not whole:
-        cause = "something else follows its footer"
-    else:
-        return None
-    return f"{cause}; {messages} messages can be read"
+def _what_is_wrong(scan: Scan) -> str:
+    never_closed = "" if scan.closed else "it has no footer, so it was cut or never closed"
+    if not scan.losses.damage:
+        return never_closed
+    damage = f"damaged at {tell_damage(scan.losses.damage)}"
+    if scan.losses.unproven:
+        damage += (
+            f"; {scan.losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
+        )
+    return f"{never_closed}; {damage}" if never_closed else f"it is {damage}"
 
 
 def _summary(
@@ -108,6 +136,7 @@ def _summary(
         profile=facts.profile,
         attachments=facts.attachments,
         metadata_records=facts.metadata_records,
+        facts=tuple(facts.listed),
     )
 
 

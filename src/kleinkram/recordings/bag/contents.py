@@ -1,0 +1,184 @@
+"""What stands in one chunk of a bag: connections and messages, followed from record to record.
+
+Nothing in a bag vouches for a chunk that is not compressed. So a record that cannot be one is passed over, up to the
+next place where one stands.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from array import array
+from dataclasses import dataclass, field
+
+from kleinkram.recordings.bag import records
+from kleinkram.recordings.bag.records import Connection, Fields
+from kleinkram.recordings.bag.walking import MessageLayout, learn_layout, walk_messages
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
+from kleinkram.recordings.tally import Batch
+
+_U32 = struct.Struct("<I")
+_OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
+_LONGEST_SEARCHED_HEADER = 512
+
+
+@dataclass
+class BagFacts:
+    """What the records of a bag said so far."""
+
+    connections: dict[int, Connection] = field(default_factory=dict)
+    names_bytes: int = 0
+    layout: MessageLayout | None = None
+
+    def define(self, number: int, connection: Connection, where: str) -> None:
+        """Note a connection; the first of a number counts."""
+        if number in self.connections:
+            return
+        self.names_bytes += len(connection.topic) + len(connection.message_type)
+        if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
+            raise Malformed(where, "more connections than are read", certain=False)
+        self.connections[number] = connection
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record whose header is at hand; `start`, `data_start`, `end`: places in the bytes in which it was found."""
+
+    fields: Fields
+    opcode: int
+    start: int
+    data_start: int
+    end: int
+
+    @property
+    def data_bytes(self) -> int:
+        """Length of the data."""
+        return self.end - self.data_start
+
+
+def parse_record(data: bytes, at: int, where: str) -> Record:
+    """Read the header of a record.
+
+    Raises:
+        Malformed: there is none, or it is not wholly at hand.
+    """
+    if at + 2 * _U32.size > len(data):
+        raise Malformed(where, "a record breaks off")
+    header_bytes = int(_U32.unpack_from(data, at)[0])
+    header_at = at + _U32.size
+    if header_bytes > MAX_HEADER:
+        raise Malformed(where, "rubbish where a record should begin")
+    if header_at + header_bytes + _U32.size > len(data):
+        raise Malformed(where, "a record breaks off")
+    fields = Fields(data[header_at : header_at + header_bytes], where)
+    opcode = fields.opcode()
+    if not records.MESSAGE <= opcode <= records.CONNECTION:
+        raise Malformed(where, f"a record of type {opcode}, which no bag has")
+    data_start = header_at + header_bytes + _U32.size
+    data_bytes = int(_U32.unpack_from(data, data_start - _U32.size)[0])
+    record = Record(fields, opcode, at, data_start, data_start + data_bytes)
+    _check_lengths(record, where)
+    return record
+
+
+def _check_lengths(record: Record, where: str) -> None:
+    fields, data_bytes = record.fields, record.data_bytes
+    if record.opcode == records.MESSAGE:
+        fields.u32("conn"), fields.time_ns("time")
+    elif record.opcode == records.CONNECTION:
+        fields.u32("conn"), fields.text("topic")
+    elif record.opcode == records.CHUNK:
+        if fields.text("compression") == "none" and fields.u32("size") != data_bytes:
+            raise Malformed(where, "a chunk whose lengths contradict each other")
+    elif record.opcode == records.INDEX_DATA:
+        if data_bytes != records.INDEX_ENTRY_BYTES * fields.u32("count"):
+            raise Malformed(where, "index data whose length does not fit its count")
+    elif record.opcode == records.CHUNK_INFO and data_bytes != 8 * fields.u32("count"):
+        raise Malformed(where, "a chunk info whose length does not fit its count")
+
+
+def find_record(data: bytes, start: int, end: int) -> int | None:
+    """Return the first place in [start, end) where the header of a record stands, whose field `op` is in there too."""
+    for match in _OP.finditer(data, start, end):
+        field_at = match.start()
+        for at in range(field_at - _U32.size, max(start, field_at - _LONGEST_SEARCHED_HEADER) - 1, -1):
+            header_bytes = int(_U32.unpack_from(data, at)[0])
+            if field_at + 8 - at - _U32.size <= header_bytes <= _LONGEST_SEARCHED_HEADER and is_record(data, at):
+                return at
+    return None
+
+
+def is_record(data: bytes, at: int) -> bool:
+    """Say whether the header of a record stands there."""
+    try:
+        parse_record(data, at, "")
+    except Malformed:
+        return False
+    return True
+
+
+def read_contents(raw: bytes, facts: BagFacts, batch: Batch) -> list[tuple[int, int, Malformed]]:
+    """Add the messages in `raw` to the batch.
+
+    Returns:
+        What was passed over: from, to, and why.
+    """
+    holes: list[tuple[int, int, Malformed]] = []
+    at, end = 0, len(raw)
+    while at < end:
+        at = walk(raw, at, end, facts, batch)
+        if at == end:
+            break
+        try:
+            at = read_record(raw, at, facts, batch)
+        except Malformed as fault:
+            found = find_record(raw, at + 1, end)
+            after = end if found is None else found
+            holes.append((at, after, fault))
+            at = after
+    return holes
+
+
+def walk(data: bytes, at: int, end: int, facts: BagFacts, batch: Batch) -> int:
+    """Pass over messages of the layout that is known."""
+    return walk_messages(data, at, end, facts.layout, batch) if facts.layout else at
+
+
+def read_record(data: bytes, at: int, facts: BagFacts, batch: Batch) -> int:
+    """Read one connection or message that is wholly at hand; return where it ends.
+
+    Raises:
+        Malformed: it is neither, or not all there.
+    """
+    where = f"byte {at} of its contents"
+    record = parse_record(data, at, where)
+    if record.end > len(data):
+        raise Malformed(where, "a record reaches beyond the end")
+    if record.opcode == records.CONNECTION:
+        define(record, data[record.data_start : record.end], facts, where)
+    elif record.opcode == records.MESSAGE:
+        add_message(record, batch)
+        if facts.layout is None:
+            facts.layout = learn_layout(data, at)
+    else:
+        raise Malformed(where, f"a record of type {record.opcode} in a chunk")
+    return record.end
+
+
+def add_message(record: Record, batch: Batch) -> None:
+    """Add one message to the batch."""
+    row = (record.fields.time_ns("time"), 0, record.end - record.start)
+    batch.setdefault(record.fields.u32("conn"), array("Q")).extend(row)
+
+
+def define(record: Record, data: bytes, facts: BagFacts, where: str) -> None:
+    """Note a connection.
+
+    Raises:
+        Malformed: it is damaged, or larger than is read.
+    """
+    if record.data_bytes > MAX_TAKE:
+        raise Malformed(where, f"a connection of {record.data_bytes} bytes", certain=False)
+    number, connection = records.read_connection(record.fields, data, where)
+    facts.define(number, connection, where)

@@ -1,0 +1,320 @@
+"""Reading a ROS 1 bag from its first byte to its last, with or without its index.
+
+Holds one chunk of at most `MAX_AT_ONCE` bytes (larger ones are decompressed in small steps), keeps no message, and
+goes on behind damage: behind a chunk that cannot be decompressed, and, where the records themselves break off, at the
+next place where one stands. What is left out on the way is measured; the chunk infos at the end of the file and the
+index data behind each chunk say how many messages there should be.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+
+from kleinkram.recordings.bag import contents, records
+from kleinkram.recordings.bag.contents import BagFacts, Record, find_record, parse_record, read_contents, walk
+from kleinkram.recordings.bag.walking import learn_layout
+from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE, WINDOW
+from kleinkram.recordings.losses import ListedChunk, Losses
+from kleinkram.recordings.stream import Cut, Decompressed, Lookahead
+from kleinkram.recordings.tally import Batch, Tally
+
+_LOOK = 64 * 2**10
+_SEARCH_BYTES = 4 * 2**20
+_FLUSH_BYTES = 64 * 2**20
+_NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.CONNECTION: "a connection"}
+
+
+@dataclass
+class BagScan:
+    """What a scan found.
+
+    Attributes:
+        index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
+        listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
+        chunk_starts: of the chunks that could be read, at least in part.
+        refused: why nothing of the bag can be read though it may be whole.
+    """
+
+    facts: BagFacts = field(default_factory=BagFacts)
+    tally: Tally = field(default_factory=lambda: Tally(with_publish_times=False))
+    losses: Losses = field(default_factory=Losses)
+    compression: set[str] = field(default_factory=set)
+    index_start: int | None = None
+    listed: int | None = None
+    chunk_starts: array[int] = field(default_factory=lambda: array("Q"))
+    refused: Malformed | None = None
+
+
+class _Scanner:
+    def __init__(self, forward: Forward) -> None:
+        self.scan = BagScan()
+        self._stream = Lookahead(forward)
+        self._chunk: ListedChunk | None = None
+        self._chunks_claimed = 0
+        self._infos = 0
+        self._info_messages = 0
+
+    def run(self) -> BagScan:
+        scan, stream = self.scan, self._stream
+        stream.advance(len(records.MAGIC))
+        while stream.left and scan.refused is None:
+            self._step()
+        self._end_chunk()
+        self._define()
+        nameless = scan.tally.finish()
+        if nameless:
+            scan.losses.note(Malformed("connections", f"{nameless} messages are of connections that are not defined"))
+            scan.losses.messages += nameless
+        if scan.index_start and self._infos and self._infos >= self._chunks_claimed:
+            scan.listed = self._info_messages
+        return scan
+
+    def _step(self) -> None:
+        """Pass over one record at the top level, or over damage."""
+        stream = self._stream
+        stream.ahead(_LOOK)
+        where = f"byte {stream.position}"
+        try:
+            record = self._parse(where)
+            self._check_end(record, where)
+            self._pass_record(record, where)
+        except Cut as cut:
+            if record.opcode == records.CHUNK:
+                self._read_cut_chunk(record, cut)
+            else:
+                self._resync(cut)
+        except Malformed as damage:
+            self._resync(damage)
+
+    def _parse(self, where: str) -> Record:
+        stream = self._stream
+        header_bytes = int.from_bytes(stream.window[stream.at : stream.at + 4], "little")
+        if header_bytes <= MAX_HEADER:
+            stream.ahead(header_bytes + 8)
+        return parse_record(stream.window, stream.at, where)
+
+    def _check_end(self, record: Record, where: str) -> None:
+        left = self._stream.left - (record.data_start - record.start)
+        if record.data_bytes > left:
+            name = _NAMES.get(record.opcode, "a record")
+            raise Cut(where, f"{name} of {record.data_bytes} bytes begins, but only {left} bytes follow")
+
+    def _pass_record(self, record: Record, where: str) -> None:
+        """Read a record that is there as a whole.
+
+        Raises:
+            Malformed: it cannot be one; nothing was passed over.
+        """
+        stream, total = self._stream, record.end - record.start
+        if record.opcode == records.INDEX_DATA:
+            if self._chunk is not None:
+                self._chunk.records += 1
+                self._chunk.messages += record.fields.u32("count")
+        else:
+            self._end_chunk()
+        if record.opcode == records.CHUNK:
+            self._pass_chunk(record)
+            return
+        if record.opcode == records.BAG_HEADER:
+            self._note_header(record, where)
+        elif record.opcode == records.MESSAGE:
+            batch: Batch = {}
+            contents.add_message(record, batch)
+            self.scan.tally.add(batch)
+        elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
+            self._note_index_record(record, where)
+        stream.advance(total)
+
+    def _note_header(self, record: Record, where: str) -> None:
+        if record.fields.text("encryptor", ""):
+            self.scan.refused = Malformed(where, "the bag is encrypted", certain=False)
+        if self.scan.index_start is None:
+            self.scan.index_start = record.fields.u64("index_pos")
+            self._chunks_claimed = record.fields.u32("chunk_count")
+
+    def _note_index_record(self, record: Record, where: str) -> None:
+        if record.data_bytes > MAX_TAKE:
+            raise Malformed(where, f"an index record of {record.data_bytes} bytes", certain=False)
+        stream = self._stream
+        data_at = record.data_start - record.start
+        stream.ahead(data_at + record.data_bytes)
+        data = stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes]
+        if record.opcode == records.CONNECTION:
+            contents.define(record, data, self.scan.facts, where)
+            return
+        info = records.read_chunk_info(record.fields, data, where)
+        self._infos += 1
+        self._info_messages += info.messages
+
+    def _pass_chunk(self, record: Record) -> None:
+        stream, scan = self._stream, self.scan
+        start, total = stream.position, record.end - record.start
+        head_bytes = record.data_start - record.start
+        compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+        scan.compression.add(compression)
+        before, damaged = scan.tally.messages, len(scan.losses.damage)
+        try:
+            if max(total, uncompressed) > MAX_AT_ONCE:
+                stream.advance(head_bytes)
+                self._read_large_chunk(compression, record.data_bytes, uncompressed)
+                stream.advance(start + total - stream.position)
+            else:
+                stream.ahead(total + _LOOK)
+                stored = stream.window[stream.at + head_bytes : stream.at + total]
+                raw = decompress(compression, stored, uncompressed)
+                self._read_contents(raw, record.data_bytes, start)
+                stream.advance(total)
+        except Malformed as error:
+            damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
+            self._leave_chunk(start, total, scan.tally.messages - before, damage)
+            return
+        scan.chunk_starts.append(start)
+        partly = len(scan.losses.damage) > damaged
+        scan.losses.chunks += partly
+        self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
+
+    def _read_contents(self, raw: bytes, stored: int, start: int) -> int:
+        """Add the messages of a chunk; return how many of its bytes could not be followed."""
+        scan = self.scan
+        batch: Batch = {}
+        holes = read_contents(raw, scan.facts, batch)
+        self._define()
+        scan.tally.add(batch, stored=stored, uncompressed=len(raw))
+        lost = sum(to - at for at, to, _ in holes)
+        for at, _to, fault in holes:
+            scan.losses.note(Malformed(f"chunk at byte {start}", f"{fault.message} ({at} bytes into it)"))
+        scan.losses.bytes += lost * stored // len(raw) if raw else 0
+        return lost
+
+    def _read_large_chunk(self, compression: str, stored: int, uncompressed: int) -> None:
+        """Add the messages of a chunk that is too large to be held, from where its data begin.
+
+        Raises:
+            Malformed: it is damaged, or ends with the file.
+        """
+        scan, outer = self.scan, self._stream
+        left = stored
+
+        def read(most: int) -> bytes:
+            nonlocal left
+            piece = outer.read_up_to(min(most, left))
+            left -= len(piece)
+            return piece
+
+        inner = Lookahead(Decompressed(open_decompressed(compression, read, uncompressed), uncompressed))
+        batch: Batch = {}
+        flushed = 0
+        try:
+            while inner.left:
+                inner.ahead(WINDOW)
+                walked = walk(inner.window, inner.at, len(inner.window), scan.facts, batch) - inner.at
+                inner.advance(walked if walked else self._pass_inner(inner, batch))
+                if inner.position - flushed > _FLUSH_BYTES:
+                    flushed = inner.position
+                    scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
+                    batch.clear()
+        finally:
+            self._define()
+            scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
+
+    def _pass_inner(self, inner: Lookahead, batch: Batch) -> int:
+        """Read a record in a large chunk; return its size."""
+        where = f"byte {inner.position} of its contents"
+        record = parse_record(inner.window, inner.at, where)
+        total = record.end - record.start
+        if total > inner.left:
+            raise Malformed(where, "a record reaches beyond the end")
+        if record.opcode == records.MESSAGE:
+            contents.add_message(record, batch)
+            if self.scan.facts.layout is None:
+                self.scan.facts.layout = learn_layout(inner.window, inner.at)
+        elif record.opcode == records.CONNECTION:
+            inner.ahead(min(total, MAX_TAKE))
+            data_at = inner.at + record.data_start - record.start
+            contents.define(record, inner.window[data_at : data_at + record.data_bytes], self.scan.facts, where)
+        return total
+
+    def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
+        """Go on behind a damaged chunk, if something stands there; else search."""
+        stream, scan = self._stream, self.scan
+        scan.losses.chunks += 1
+        if stream.position == start and stream.left > total:
+            after = stream.at + total
+            if after < len(stream.window) and not contents.is_record(stream.window, after):
+                self._resync(damage)
+                return
+        scan.losses.note(damage)
+        stream.advance(start + total - stream.position)
+        scan.losses.bytes += total
+        self._chunk = ListedChunk(start, found, damaged=True)
+
+    def _read_cut_chunk(self, record: Record, cut: Cut) -> None:
+        """Save what there is of a chunk that reaches beyond the end of the file."""
+        stream, scan = self._stream, self.scan
+        self._end_chunk()
+        head_bytes = record.data_start - record.start
+        compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+        scan.compression.add(compression)
+        before, used = scan.tally.messages, 0
+        if max(stream.left, uncompressed) > MAX_AT_ONCE:
+            stream.advance(head_bytes)
+            try:
+                self._read_large_chunk(compression, record.data_bytes, uncompressed)
+            except Malformed:
+                used = 0
+        else:
+            stream.ahead(stream.left)
+            stored = stream.window[stream.at + head_bytes :]
+            raw = decompress_beginning(compression, stored, uncompressed)
+            batch: Batch = {}
+            holes = read_contents(raw, scan.facts, batch)
+            self._define()
+            scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
+            followed = len(raw) - sum(to - at for at, to, _ in holes)
+            used = head_bytes + len(stored) * followed // len(raw) if followed else 0
+        scan.losses.unproven += scan.tally.messages - before
+        scan.losses.chunks += 1
+        scan.losses.note(cut)
+        scan.losses.bytes += max(0, stream.left - used)
+        scan.losses.messages_are_known = False
+        stream.advance(stream.left)
+
+    def _resync(self, damage: Malformed) -> None:
+        """Pass over damage, up to the next place where a record stands."""
+        stream, scan = self._stream, self.scan
+        self._end_chunk()
+        scan.losses.note(damage)
+        scan.losses.messages_are_known = False
+        start = stream.position
+        stream.advance(1)
+        while stream.left:
+            at_hand = stream.ahead(_SEARCH_BYTES)
+            width = at_hand if at_hand == stream.left else at_hand - _LOOK
+            found = find_record(stream.window, stream.at, stream.at + width)
+            stream.advance(width if found is None else found - stream.at)
+            if found is not None:
+                break
+        scan.losses.bytes += stream.position - start
+
+    def _end_chunk(self) -> None:
+        """Compare the chunk before with its index data."""
+        if self._chunk is not None:
+            self._chunk.settle(self.scan.losses)
+            self._chunk = None
+
+    def _define(self) -> None:
+        for number, connection in self.scan.facts.connections.items():
+            self.scan.tally.define(number, connection.topic)
+
+
+def scan_bag_records(forward: Forward) -> BagScan:
+    """Read a whole bag. Its content never raises.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    return _Scanner(forward).run()

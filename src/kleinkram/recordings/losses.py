@@ -1,0 +1,71 @@
+"""The account of a damaged file: where it is damaged, and what of it is lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_DAMAGE
+from kleinkram.recordings.model import Lost
+
+
+@dataclass
+class Losses:
+    """What a scan could not read.
+
+    Attributes:
+        damage: what is wrong, in the order of the file; empty for a whole file. At most `MAX_DAMAGE`.
+        index_faults: what the file's index says that is not so.
+        messages: lost ones, as far as the indexes behind damaged chunks say.
+        messages_are_known: those account for all that is lost.
+        unproven: messages that were saved out of a chunk whose checksum is missing with its end.
+    """
+
+    damage: list[Malformed] = field(default_factory=list)
+    index_faults: list[Malformed] = field(default_factory=list)
+    bytes: int = 0
+    chunks: int = 0
+    messages: int = 0
+    messages_are_known: bool = True
+    unproven: int = 0
+
+    def note(self, damage: Malformed) -> None:
+        """Remember a damaged place."""
+        if len(self.damage) < MAX_DAMAGE:
+            self.damage.append(damage)
+
+    def note_index(self, fault: Malformed) -> None:
+        """Remember what is wrong with the index alone."""
+        if len(self.index_faults) < MAX_DAMAGE:
+            self.index_faults.append(fault)
+
+    def total(self, *, claimed: int | None, found: int) -> Lost | None:
+        """Return what is lost; None for nothing. `claimed`: messages that the file should hold, if it says so."""
+        if not (self.bytes or self.chunks or self.messages):
+            return None
+        messages = self.messages if self.messages_are_known else None
+        if claimed is not None and claimed >= found:
+            messages = claimed - found
+        return Lost(self.bytes, self.chunks, messages)
+
+
+@dataclass
+class ListedChunk:
+    """What the index records behind a chunk list, and what was found in it."""
+
+    start: int
+    found: int
+    damaged: bool
+    records: int = 0
+    messages: int = 0
+
+    def settle(self, losses: Losses) -> None:
+        """Compare the two, once all index records of the chunk were read."""
+        if not self.damaged:
+            if self.records and self.messages != self.found:
+                message = f"its index lists {self.messages} messages, it holds {self.found}"
+                losses.note_index(Malformed(f"chunk at byte {self.start}", message))
+        elif self.records:
+            losses.messages += max(0, self.messages - self.found)
+        else:
+            losses.messages_are_known = False

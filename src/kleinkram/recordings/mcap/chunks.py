@@ -1,0 +1,166 @@
+"""One chunk of an MCAP: what stands in it, proven by its CRC before anything of it is believed."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from typing import NamedTuple
+
+from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import WINDOW
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
+from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
+from kleinkram.recordings.mcap.walking import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
+from kleinkram.recordings.stream import Decompressed, Lookahead
+from kleinkram.recordings.tally import Batch, Tally
+
+_U64 = struct.Struct("<Q")
+_FLUSH_BYTES = 64 * 2**20
+_DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
+_HEAD_OF_DEFINITION = 3 * 4096 + 16
+
+
+class ChunkHead(NamedTuple):
+    """The fixed fields of a chunk record; `data_start` counts from the record's own start."""
+
+    compression: str
+    uncompressed: int
+    crc: int
+    data_start: int
+    stored: int
+
+
+class Contents(NamedTuple):
+    """What a walk through the records of a chunk came to.
+
+    Attributes:
+        walked: bytes of records that could be followed.
+        fault: why it ended there; None: at the end.
+    """
+
+    walked: int
+    fault: Malformed | None = None
+
+
+def read_chunk_head(data: bytes, at: int) -> ChunkHead:
+    """Read the head of a chunk record whose lengths are known to agree."""
+    at += RECORD_HEAD.size
+    _first, _last, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
+    name_at = at + CHUNK_FIXED.size
+    data_at = name_at + name_length + _U64.size
+    name = data[name_at : name_at + name_length].decode("utf-8", "replace")
+    (stored,) = _U64.unpack_from(data, data_at - _U64.size)
+    return ChunkHead(name, uncompressed, crc, data_at - at + RECORD_HEAD.size, stored)
+
+
+def read_chunk(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+    """Add the messages of a whole chunk to the batch.
+
+    Raises:
+        Malformed: nothing in it can be believed.
+    """
+    raw = decompress(head.compression, stored, head.uncompressed)
+    if head.crc and zlib.crc32(raw) != head.crc:
+        raise Malformed("chunk", "its checksum is wrong")
+    return _walk(raw, facts, batch)
+
+
+def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> int:
+    """Add the messages of a chunk whose end is missing; return how many of the `stored` bytes they stand in."""
+    raw = decompress_beginning(head.compression, stored, head.uncompressed)
+    walked = _walk(raw, facts, batch).walked
+    return len(stored) * walked // len(raw) if raw else 0
+
+
+def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally) -> None:
+    """Add the messages of a chunk that is too large to be held, from where its data begin.
+
+    They are added before the CRC at the end is known.
+
+    Raises:
+        Malformed: it is damaged, or ends with the file.
+    """
+    left = head.stored
+
+    def read(most: int) -> bytes:
+        nonlocal left
+        piece = stream.read_up_to(min(most, left))
+        left -= len(piece)
+        return piece
+
+    inner = Lookahead(Decompressed(open_decompressed(head.compression, read, head.uncompressed), head.uncompressed))
+    batch: Batch = {}
+    flushed = 0
+    try:
+        while inner.left:
+            inner.ahead(WINDOW)
+            walked = walk_messages(inner.window, inner.at, len(inner.window), batch) - inner.at
+            inner.advance(walked if walked else _pass_record(inner, facts, batch))
+            if inner.position - flushed > _FLUSH_BYTES:
+                flushed = inner.position
+                tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+                batch.clear()
+    finally:
+        define(facts, tally)
+        tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+    if head.crc and inner.crc() != head.crc:
+        raise Malformed("chunk", "its checksum is wrong")
+
+
+def define(facts: McapFacts, tally: Tally) -> None:
+    """State the topics of all channels that are known by now."""
+    for number, channel in facts.channels.items():
+        tally.define(number, channel.topic)
+
+
+def _walk(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
+    at, end = 0, len(raw)
+    while True:
+        at = walk_messages(raw, at, end, batch)
+        if at == end:
+            return Contents(at)
+        if end - at < RECORD_HEAD.size:
+            return Contents(at, Malformed(f"byte {at}", "it ends within a record"))
+        opcode, length = RECORD_HEAD.unpack_from(raw, at)
+        body = at + RECORD_HEAD.size
+        if opcode in (0, records.MESSAGE) or body + length > end:
+            return Contents(at, Malformed(f"byte {at}", "its records break off"))
+        if opcode in _DEFINITIONS:
+            try:
+                _DEFINITIONS[opcode](facts, raw[body : body + min(length, _HEAD_OF_DEFINITION)], f"byte {at}")
+            except Malformed as fault:
+                return Contents(at, fault)
+        at = body + length
+
+
+def _pass_record(inner: Lookahead, facts: McapFacts, batch: Batch) -> int:
+    """Read a record that is no message, or a message larger than the window; return its size."""
+    if inner.left < RECORD_HEAD.size:
+        raise Malformed(f"byte {inner.position}", "it ends within a record")
+    opcode, length = RECORD_HEAD.unpack_from(inner.window, inner.at)
+    total: int = RECORD_HEAD.size + length
+    if opcode == 0 or total > inner.left:
+        raise Malformed(f"byte {inner.position}", "its records break off")
+    if opcode == records.MESSAGE:
+        read_large_message(inner, batch)
+    elif opcode in _DEFINITIONS:
+        body = inner.at + RECORD_HEAD.size
+        head = inner.window[body : body + min(length, _HEAD_OF_DEFINITION)]
+        _DEFINITIONS[opcode](facts, head, f"byte {inner.position}")
+    return total
+
+
+def read_large_message(stream: Lookahead, batch: Batch) -> None:
+    """Add the next message to the batch, of which only the head is at hand.
+
+    Raises:
+        Malformed: it is too short to be one.
+    """
+    head = stream.window[stream.at : stream.at + MESSAGE_HEAD.size]
+    if len(head) < MESSAGE_HEAD.size or MESSAGE_HEAD.unpack(head)[1] < MESSAGE_FIXED:
+        raise Malformed(f"byte {stream.position}", "a message that is too short to be one")
+    _opcode, length, channel_id, _sequence, log_time, publish_time = MESSAGE_HEAD.unpack(head)
+    batch.setdefault(channel_id, array("Q")).extend((log_time, publish_time, RECORD_HEAD.size + length))

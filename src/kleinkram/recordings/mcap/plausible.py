@@ -1,0 +1,170 @@
+"""Could a record of MCAP begin here? What a scan asks of each record, and, more strictly, where it looks for the next
+one behind damage.
+
+Looks at the bytes at hand only; decompresses nothing, keeps nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Container
+
+from kleinkram.recordings.limits import MAX_NAME
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.records import RECORD_HEAD
+
+LOOK = 64 * 2**10
+"""Bytes from the start of a record within which its fixed fields and names stand."""
+
+CHUNK_FIXED = struct.Struct("<QQQII")
+_U16 = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
+_MESSAGE_BYTES = 22
+_COMPRESSIONS = (b"", b"zstd", b"lz4")
+_CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
+"""An opcode, and the length of a record below 1 TB."""
+
+
+def record_end(data: bytes, at: int, left: int) -> int | None:
+    """Return where the record at `at` ends if all its lengths agree; `left`: bytes to the end of the file.
+
+    For records that are found by chance: fields behind those that the specification knows are not allowed.
+    """
+    if at + RECORD_HEAD.size > len(data):
+        return None
+    opcode, length = RECORD_HEAD.unpack_from(data, at)
+    body = at + RECORD_HEAD.size
+    if opcode not in _NEEDED or RECORD_HEAD.size + length > left:
+        return None
+    try:
+        needed = _NEEDED[opcode](data, body, length)
+    except struct.error:
+        return None
+    return body + length if needed == length else None
+
+
+def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
+    """Say what is wrong with a record that stands where one should; None: it can be followed."""
+    if opcode == 0:
+        return "only zeros or rubbish where a record should begin"
+    check = _NEEDED.get(opcode)
+    if check is None or opcode == records.MESSAGE:
+        return None
+    try:
+        needed = check(data, at + RECORD_HEAD.size, length)
+    except struct.error:
+        needed = None
+    if needed is None or needed > length:
+        return "a record whose lengths contradict each other"
+    return None
+
+
+def find_record(data: bytes, start: int, end: int, left: int, channels: Container[int]) -> int | None:
+    """Return the first place in [start, end) where a record stands.
+
+    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it; those of a message are too
+    few, so it must be of one of the `channels`, and another record must follow.
+    """
+    for match in _CANDIDATE.finditer(data, start, end):
+        at = match.start()
+        still = left - (at - start)
+        after = record_end(data, at, still)
+        if after is None:
+            continue
+        if data[at] != records.MESSAGE:
+            return at
+        (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
+        if channel_id in channels and (still == after - at or record_end(data, after, still - (after - at))):
+            return at
+    return None
+
+
+def _counted(data: bytes, at: int) -> int:
+    """Return where a string, map or array that begins with its length ends."""
+    return at + _U32.size + int(_U32.unpack_from(data, at)[0])
+
+
+def _need_message(data: bytes, at: int, length: int) -> int | None:
+    return max(length, _MESSAGE_BYTES)
+
+
+def _need_chunk(data: bytes, at: int, length: int) -> int | None:
+    (name_length,) = _U32.unpack_from(data, at + CHUNK_FIXED.size - _U32.size)
+    if name_length > MAX_NAME:
+        return None
+    stored_at = at + CHUNK_FIXED.size + name_length
+    (stored,) = _U64.unpack_from(data, stored_at)
+    return int(stored_at + _U64.size + stored - at)
+
+
+def _need_schema(data: bytes, at: int, length: int) -> int | None:
+    name_end = _counted(data, at + _U16.size)
+    return _counted(data, _counted(data, name_end)) - at
+
+
+def _need_channel(data: bytes, at: int, length: int) -> int | None:
+    topic_end = _counted(data, at + 2 * _U16.size)
+    return _counted(data, _counted(data, topic_end)) - at
+
+
+def _need_message_index(data: bytes, at: int, length: int) -> int | None:
+    end = _counted(data, at + _U16.size)
+    return None if (end - at - _U16.size - _U32.size) % 16 else end - at
+
+
+def _need_chunk_index(data: bytes, at: int, length: int) -> int | None:
+    name_at = _counted(data, at + 4 * _U64.size) + _U64.size
+    return _counted(data, name_at) + 2 * _U64.size - at
+
+
+def _need_attachment(data: bytes, at: int, length: int) -> int | None:
+    size_at = _counted(data, _counted(data, at + 2 * _U64.size))
+    size: int = _U64.unpack_from(data, size_at)[0]
+    return size_at + _U64.size + size + _U32.size - at
+
+
+def _need_attachment_index(data: bytes, at: int, length: int) -> int | None:
+    return _counted(data, _counted(data, at + 5 * _U64.size)) - at
+
+
+def _need_statistics(data: bytes, at: int, length: int) -> int | None:
+    end = _counted(data, at + records.STATISTICS_BODY.size)
+    return None if (end - at - records.STATISTICS_BODY.size - _U32.size) % 10 else end - at
+
+
+def _need_metadata(data: bytes, at: int, length: int) -> int | None:
+    return _counted(data, _counted(data, at)) - at
+
+
+def _need_metadata_index(data: bytes, at: int, length: int) -> int | None:
+    return _counted(data, at + 2 * _U64.size) - at
+
+
+def _need_header(data: bytes, at: int, length: int) -> int | None:
+    return _counted(data, _counted(data, at)) - at
+
+
+def _need_footer(data: bytes, at: int, length: int) -> int | None:
+    end = at + records.FOOTER_BODY.size
+    return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
+
+
+_NEEDED: dict[int, Callable[[bytes, int, int], int | None]] = {
+    records.HEADER: _need_header,
+    records.FOOTER: _need_footer,
+    records.SCHEMA: _need_schema,
+    records.CHANNEL: _need_channel,
+    records.MESSAGE: _need_message,
+    records.CHUNK: _need_chunk,
+    records.MESSAGE_INDEX: _need_message_index,
+    records.CHUNK_INDEX: _need_chunk_index,
+    records.ATTACHMENT: _need_attachment,
+    records.ATTACHMENT_INDEX: _need_attachment_index,
+    records.STATISTICS: _need_statistics,
+    records.METADATA: _need_metadata,
+    records.METADATA_INDEX: _need_metadata_index,
+    records.SUMMARY_OFFSET: lambda data, at, length: 1 + 2 * _U64.size,
+    records.DATA_END: lambda data, at, length: _U32.size,
+}

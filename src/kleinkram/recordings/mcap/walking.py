@@ -1,0 +1,33 @@
+"""The messages of an MCAP one after the other, as fast as Python goes: most of the time of a scan passes here."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+
+from kleinkram.recordings.mcap.records import MESSAGE, RECORD_HEAD
+from kleinkram.recordings.tally import Batch
+
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
+
+
+def walk_messages(data: bytes, at: int, end: int, batch: Batch) -> int:
+    """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
+
+    Returns:
+        Where that stands.
+    """
+    unpack, size, fixed, known = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED, batch.get
+    last = end - size
+    while at <= last:
+        opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
+        after = at + 9 + length
+        if opcode != MESSAGE or after > end or length < fixed:
+            break
+        rows = known(channel_id)
+        if rows is None:
+            rows = batch[channel_id] = array("Q")
+        rows.extend((log_time, publish_time, after - at))
+        at = after
+    return at

@@ -1,0 +1,107 @@
+"""Messages as a scan finds them -> a timeline by topic; and how much of a file was lost on the way.
+
+A message names its channel by a number, and the definition of that channel may have been lost and stand again only
+at the end of the file. So what a number has no topic for yet waits under the number.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import sub
+
+from kleinkram.recordings.limits import MAX_TOPICS
+from kleinkram.recordings.timeline import Timeline
+
+ROW = 3
+"""Numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record."""
+
+_SAMPLE = 4096
+_NOTABLE_NS = 1_000_000_000
+_MOST = 2**63 - 1
+_WAITING = "\0channel "
+
+Batch = dict[int, "array[int]"]
+"""Messages by channel, in the order of the file, `ROW` numbers each."""
+
+
+@dataclass
+class Lateness:
+    """Messages of one topic that were logged more than a second away from when they were published.
+
+    Attributes:
+        largest_ns: log time minus publish time, where that is farthest from 0.
+        sample: of the same difference.
+    """
+
+    count: int = 0
+    largest_ns: int = 0
+    sample: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, late: Sequence[int]) -> None:
+        """Add differences."""
+        self.count += len(late)
+        self.largest_ns = max(self.largest_ns, *late, key=abs)
+        self.sample.extend(late[: _SAMPLE - len(self.sample)])
+
+
+class Tally:
+    """All messages that a scan found.
+
+    Attributes:
+        messages: how many.
+        lateness: of the topics whose log and publish times are far apart.
+    """
+
+    def __init__(self, *, with_publish_times: bool = True) -> None:
+        self._with_publish_times = with_publish_times
+        self.timeline = Timeline()
+        self.messages = 0
+        self._topics: dict[int, str] = {}
+        self.lateness: dict[str, Lateness] = {}
+
+    def define(self, number: int, topic: str) -> None:
+        """State the topic of a channel; the first one counts."""
+        if number not in self._topics:
+            self._topics[number] = topic
+            self.timeline.rename(_waiting(number), topic)
+            self.timeline.topic(topic)
+
+    def add(self, batch: Mapping[int, array[int]], *, stored: int = 1, uncompressed: int = 1) -> int:
+        """Add messages, `stored` / `uncompressed` of whose bytes are in the file; return how many."""
+        count = 0
+        for number, rows in batch.items():
+            topic = self._topics.get(number)
+            if topic is None:
+                topic = _waiting(number if len(self.timeline.topics) <= MAX_TOPICS else 0)
+            stamps = rows[0::ROW]
+            share = sum(rows[2::ROW]) * stored // uncompressed if uncompressed else 0
+            self.timeline.add(topic, stamps, share)
+            if self._with_publish_times and (published := rows[1::ROW]) != stamps:
+                self._note_lateness(topic, stamps, published)
+            count += len(stamps)
+        self.timeline.settle(0)
+        self.messages += count
+        return count
+
+    def finish(self) -> int:
+        """End the timeline; return how many messages belong to no topic, and forget them."""
+        self.timeline.settle(None)
+        nameless = [name for name in self.timeline.topics if name.startswith(_WAITING)]
+        lost = sum(self.timeline.topics.pop(name).count for name in nameless)
+        self.messages -= lost
+        return lost
+
+    def _note_lateness(self, topic: str, stamps: array[int], published: array[int]) -> None:
+        if 0 in published:
+            known = [(log, publish) for log, publish in zip(stamps, published, strict=True) if publish]
+            stamps, published = array("Q", [log for log, _ in known]), array("Q", [publish for _, publish in known])
+        late = list(map(sub, stamps, published))
+        if late and (max(late) > _NOTABLE_NS or min(late) < -_NOTABLE_NS):
+            notable = [max(-_MOST, min(_MOST, ns)) for ns in late if abs(ns) > _NOTABLE_NS]
+            self.lateness.setdefault(topic, Lateness()).add(notable)
+
+
+def _waiting(number: int) -> str:
+    return f"{_WAITING}{number}"
