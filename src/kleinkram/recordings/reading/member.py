@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.reading import bag_chunks, bag_index, mcap_chunks
+from kleinkram.recordings.reading.chunk_table import Row
 from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
-from kleinkram.recordings.reading.mcap_chunks import open_chunk, parse_messages, table_of_records
 from kleinkram.recordings.reading.mcap_index import McapIndex, read_index
 from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
 from kleinkram.recordings.reading.merging import Piece
@@ -64,7 +65,8 @@ class ChunkedMember:
         """Do nothing: whoever opened the source closes it."""
 
 
-_MCAP = ChunkFormat(open_chunk, parse_messages, table_of_records)
+_MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records)
+_BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records)
 
 
 def open_mcap(source: Source, noticed: Noticed, *, message_compression: str = "") -> ChunkedMember:
@@ -78,6 +80,24 @@ def open_mcap(source: Source, noticed: Noticed, *, message_compression: str = ""
     start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
     return ChunkedMember(ChunkedFile(source, _MCAP, index.table, channels, noticed), contents)
+
+
+def open_bag(source: Source, noticed: Noticed) -> ChunkedMember:
+    """Open a ROS 1 bag by its index; one without is read once from end to end, and what is broken in it is noted.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    try:
+        index = bag_index.read_index(source)
+    except NotIndexed as refusal:
+        noticed.add(refusal.code, source.name, str(refusal))
+        index = bag_index.rebuild_index(source, noticed)
+    rows = index.table.rows
+    start_ns = min(rows.column(Row._fields.index("first_ns")), default=None)
+    end_ns = max(rows.column(Row._fields.index("last_ns")), default=None)
+    contents = Contents(index.channels, index.counts, sum(index.counts.values()), start_ns, end_ns)
+    return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents)
 
 
 def _mcap_index(source: Source, noticed: Noticed) -> McapIndex:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Protocol, runtime_checkable
 
+from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.forward import SourceForward
 from kleinkram.recordings.grouping import METADATA_NAME, group
 from kleinkram.recordings.model import RecordingFormat
+from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.reading.member import Member, open_mcap
+from kleinkram.recordings.reading.member import Member, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
+from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import sniff
 from kleinkram.recordings.sources import FileSource, Source
 
@@ -49,26 +54,97 @@ def open_members(what: Openable, noticed: Noticed) -> Opened:
         SourceError: the bytes cannot be read.
     """
     with ExitStack() as stack:
-        name, sources = _sources_of(what, stack)
-        metadata = _metadata_of(sources, noticed)
-        data = [source for source in sources if PurePosixPath(source.name).name != METADATA_NAME]
+        name, files = _files_of(what, stack)
+        metadata = _metadata_of(files, noticed)
+        data = [file for file in files if file.base_name != METADATA_NAME]
         if not data:
             raise NotARecording(name, "there is no recording in it")
-        members = tuple(_open_member(source, metadata, noticed, stack) for source in data)
+        opener = _Opener(_message_compression(metadata), noticed, stack)
+        members = tuple(opener.open(file) for file in data)
         return Opened(name, members, stack.pop_all())
 
 
-def _sources_of(what: Openable, stack: ExitStack) -> tuple[str, Sequence[Source]]:
+@dataclass(frozen=True)
+class _File:
+    """A file to be opened; `path`: where it stands on this machine."""
+
+    source: Source
+    path: Path | None = None
+
+    @property
+    def base_name(self) -> str:
+        return PurePosixPath(self.source.name).name
+
+
+@dataclass(frozen=True)
+class _Opener:
+    """Opens files, whatever they are; what must be closed later goes onto the stack."""
+
+    message_compression: str
+    noticed: Noticed
+    stack: ExitStack
+
+    def open(self, file: _File) -> Member:
+        kind = sniff(file.source)
+        if kind is RecordingFormat.mcap:
+            return open_mcap(file.source, self.noticed, message_compression=self.message_compression)
+        if kind is RecordingFormat.rosbag1:
+            return open_bag(file.source, self.noticed)
+        if kind is RecordingFormat.rosbag2_db3:
+            return self._open_database(file)
+        if kind is RecordingFormat.zstd:
+            return self.open(self._unpack(file.source))
+        if kind is RecordingFormat.rosbag1_old:
+            raise NotARecording(file.source.name, "it is a ROS bag 1.x: convert it with 'rosbag migrate'")
+        if kind is RecordingFormat.empty:
+            raise NotARecording(file.source.name, "it has 0 bytes")
+        raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
+
+    def _open_database(self, file: _File) -> Member:
+        name = file.source.name
+        path = file.path or self._copy(SourceForward(file.source).read, name)
+        return DatabaseMember(path, name, self.noticed, message_compression=self.message_compression)
+
+    def _unpack(self, source: Source) -> _File:
+        """Decompress a file that is compressed as a whole; if that is damaged, up to there."""
+        content = open_decompressed("zstd", SourceForward(source).read, MAX_SPOOL_BYTES)
+
+        def read(most: int) -> bytes:
+            try:
+                return content.take_some(most)
+            except Malformed as error:
+                self.noticed.add("damaged", source.name, f"reading ends here: {error.message}")
+                return b""
+
+        path = self._copy(read, source.name)
+        unpacked = self.stack.enter_context(FileSource(path))
+        unpacked.name = PurePosixPath(source.name).stem
+        if sniff(unpacked) is RecordingFormat.zstd:
+            raise NotARecording(source.name, "it is compressed more than once")
+        return _File(unpacked, path)
+
+    def _copy(self, read: Callable[[int], bytes], name: str) -> Path:
+        try:
+            return self.stack.enter_context(temporary_copy(read))
+        except TooLarge as error:
+            raise SourceError(f"{name}: {error}") from error
+
+
+def _message_compression(metadata: Rosbag2Metadata | None) -> str:
+    return metadata.compression if metadata is not None and metadata.compression_mode == "message" else ""
+
+
+def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[_File]]:
     if isinstance(what, str | os.PathLike):
         path = Path(what)
-        return str(path), [stack.enter_context(FileSource(member)) for member in _paths_of(path)]
+        return str(path), [_File(stack.enter_context(FileSource(member)), member) for member in _paths_of(path)]
     if isinstance(what, HasSources):
         sources = [*what.sources()]
     elif isinstance(what, Sequence):
         sources = [*what]
     else:
         sources = [what]
-    return sources[0].name if sources else "nothing", sources
+    return sources[0].name if sources else "nothing", [_File(source) for source in sources]
 
 
 def _paths_of(path: Path) -> list[Path]:
@@ -89,18 +165,19 @@ def _paths_of(path: Path) -> list[Path]:
     return [path / name for name in [*metadata, *found.members]]
 
 
-def _metadata_of(sources: Iterable[Source], noticed: Noticed) -> Rosbag2Metadata | None:
-    """Read the metadata.yaml among the sources, and compare it with what is there."""
-    names = [PurePosixPath(source.name).name for source in sources]
-    for source, name in zip(sources, names, strict=True):
-        if name != METADATA_NAME:
+def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | None:
+    """Read the metadata.yaml among the files, and compare it with what is there."""
+    names = {file.base_name for file in files}
+    for file in files:
+        if file.base_name != METADATA_NAME:
             continue
+        source = file.source
         text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
         metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
         if metadata is None:
             noticed.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
             return None
-        _name_missing(metadata, set(names), noticed)
+        _name_missing(metadata, names, noticed)
         return metadata
     return None
 
@@ -112,12 +189,3 @@ def _name_missing(metadata: Rosbag2Metadata, names: set[str], noticed: Noticed) 
             noticed.add("member-missing", missing, "metadata.yaml names it, but it is not there")
     for surplus in sorted(names - {METADATA_NAME, *claimed}):
         noticed.add("member-surplus", surplus, "it is there, but metadata.yaml does not name it")
-
-
-def _open_member(source: Source, metadata: Rosbag2Metadata | None, noticed: Noticed, stack: ExitStack) -> Member:
-    by_message = metadata is not None and metadata.compression_mode == "message"
-    compression = metadata.compression if metadata is not None and by_message else ""
-    kind = sniff(source)
-    if kind is RecordingFormat.mcap:
-        return open_mcap(source, noticed, message_compression=compression)
-    raise NotARecording(source.name, f"it is {kind.value}, not a recording whose messages are read")

@@ -1,0 +1,174 @@
+"""What reading a ROS 1 bag needs to know: connections, and where its chunks are; by its index, or by reading it all.
+
+The index section is read once; no index data of any chunk is.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+from kleinkram.recordings.bag import records
+from kleinkram.recordings.bag.records import Fields, array_u32
+from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.forward import SourceForward
+from kleinkram.recordings.limits import MAX_CHUNKS, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.reading.bag_chunks import MESSAGE_DATA, Record, read_connection, walk
+from kleinkram.recordings.reading.chunk_table import CHUNK, CUT, ChunkTable, Row
+from kleinkram.recordings.reading.definitions import MAX_DEFINITIONS
+from kleinkram.recordings.reading.model import Channel
+from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.unpacking import limited
+from kleinkram.recordings.sources import Source
+from kleinkram.recordings.stream import Cut, ForwardStream, open_range
+
+_GUESSED_RATIO = 4
+_HEAD_WINDOW = 4096
+
+
+@dataclass
+class BagIndex:
+    """What is known of a bag before any chunk is read."""
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    table: ChunkTable = field(default_factory=ChunkTable)
+    counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
+    definition_bytes: int = 0
+
+    def define(self, fields: Fields, data: bytes, where: str) -> None:
+        """Note a connection; the first of a number counts."""
+        number, channel = read_connection(fields, data, where)
+        if number in self.channels:
+            return
+        self.definition_bytes += len(data)
+        if len(self.channels) >= MAX_TOPICS or self.definition_bytes > MAX_DEFINITIONS:
+            raise Malformed(where, "more connections than are read", certain=False)
+        self.channels[number] = channel
+
+
+def read_index(source: Source) -> BagIndex:
+    """Return the index of a bag.
+
+    Raises:
+        NotIndexed: there is none, or it cannot be true.
+        SourceError: as `Source.read`.
+    """
+    index = BagIndex()
+    try:
+        index_start, connections, chunks = _read_bag_header(source)
+        stream = open_range(source, index_start, source.size_bytes)
+        starts = _read_index_section(stream, index, connections + chunks)
+        _place(index, starts, index_start)
+    except Malformed as error:
+        raise NotIndexed("no-index", f"the index cannot be used: {error}", is_problem=True) from error
+    return index
+
+
+def _read_bag_header(source: Source) -> tuple[int, int, int]:
+    start = len(records.MAGIC)
+    stream = open_range(source, start, source.size_bytes, window=_HEAD_WINDOW)
+    fields, _ = records.read_fields(stream)
+    if fields.opcode() != records.BAG_HEADER:
+        raise Malformed(f"byte {start}", "the first record is not a bag header")
+    index_start = fields.u64("index_pos")
+    if not start < index_start <= source.size_bytes:
+        raise Malformed(f"byte {start}", "the bag has no index: it was cut, or not closed by its recorder")
+    return index_start, fields.u32("conn_count"), fields.u32("chunk_count")
+
+
+def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> list[tuple[int, int, int, int]]:
+    """Read connections and chunk infos; return start, first and last time, and set of channels of each chunk."""
+    found: list[tuple[int, int, int, int]] = []
+    for record in walk(stream):
+        if left == 0:
+            break
+        left -= 1
+        where = f"byte {record.start}"
+        if record.opcode == records.CONNECTION:
+            index.define(record.fields, stream.take(record.data_bytes), where)
+        elif record.opcode == records.CHUNK_INFO:
+            fields = record.fields
+            flat = array_u32(stream.take(record.data_bytes))
+            for number, count in zip(flat[0::2], flat[1::2], strict=False):
+                index.counts[number] += count
+            members = index.table.set_number(flat[0::2])
+            found.append((fields.u64("chunk_pos"), fields.time_ns("start_time"), fields.time_ns("end_time"), members))
+            if len(found) > MAX_CHUNKS:
+                raise Malformed(where, f"more than {MAX_CHUNKS} chunks", certain=False)
+        else:
+            raise Malformed(where, f"a record of type {record.opcode} in the index")
+    if left:
+        raise Malformed(f"byte {stream.position}", f"the file is cut within its index: {left} records are missing")
+    return found
+
+
+def _place(index: BagIndex, found: list[tuple[int, int, int, int]], index_start: int) -> None:
+    """Make rows: a chunk and its index data end where the next chunk begins."""
+    found.sort()
+    ends = [*(place[0] for place in found[1:]), index_start] if found else []
+    for (start, first_ns, last_ns, members), end in zip(found, ends, strict=True):
+        if not len(records.MAGIC) <= start < end <= index_start:
+            raise Malformed(f"byte {start}", "the index lists chunks that overlap, or lie outside the file")
+        guess = _GUESSED_RATIO * (end - start)
+        index.table.rows.append(Row(start, end - start, end, first_ns, last_ns, CHUNK, members, guess))
+    if not index.counts.keys() <= index.channels.keys():
+        raise Malformed("index", "it lists chunks of connections that it does not define")
+
+
+def rebuild_index(source: Source, noticed: Noticed) -> BagIndex:
+    """Return the index of what can be read of a bag, which is read once from end to end; what cannot is noted.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    index = BagIndex()
+    forward = SourceForward(source)
+    stream = ForwardStream(lambda: forward.read(WINDOW))
+    try:
+        stream.skip(len(records.MAGIC))
+        for record in walk(stream):
+            if record.opcode == records.CONNECTION:
+                index.define(record.fields, stream.take(min(record.data_bytes, MAX_TAKE)), f"byte {record.start}")
+            elif record.opcode == records.CHUNK:
+                _rebuild_chunk(source, stream, record, index, noticed)
+    except Malformed as error:
+        noticed.add("damaged", error.where, f"reading ends here: {error.message}")
+    return index
+
+
+def _rebuild_chunk(source: Source, stream: ForwardStream, record: Record, index: BagIndex, noticed: Noticed) -> None:
+    end = stream.position + record.data_bytes
+    counts: dict[int, int] = defaultdict(int)
+    span = [2**64 - 1, 0]
+    kind, uncompressed = CHUNK, 0
+    try:
+        uncompressed = record.fields.u32("size")
+        compression = record.fields.text("compression").replace("none", "")
+        content = open_decompressed(compression, limited(stream, record.data_bytes), uncompressed)
+        _read_content(content, index, counts, span)
+        if content.position != uncompressed:
+            raise Cut(f"byte {record.start}", f"{uncompressed} bytes are claimed, {content.position} came out")
+    except Malformed as error:
+        if end <= source.size_bytes:
+            noticed.add("damaged", f"chunk at byte {record.start}", f"left out: {error.message}")
+            return
+        kind = CUT
+    end = min(end, source.size_bytes)
+    if counts:
+        members = index.table.set_number(counts)
+        row = Row(record.start, end - record.start, end, span[0], span[1], kind, members, uncompressed)
+        index.table.rows.append(row)
+        for number, count in counts.items():
+            index.counts[number] += count
+
+
+def _read_content(content: ForwardStream, index: BagIndex, counts: dict[int, int], span: list[int]) -> None:
+    for record in walk(content):
+        if record.opcode == records.CONNECTION:
+            index.define(record.fields, content.take(min(record.data_bytes, MAX_TAKE)), f"byte {record.start}")
+        elif record.opcode == MESSAGE_DATA:
+            number, log_ns = record.fields.u32("conn"), record.fields.time_ns("time")
+            content.skip(record.data_bytes)
+            counts[number] += 1
+            span[:] = min(span[0], log_ns), max(span[1], log_ns)
