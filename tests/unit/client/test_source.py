@@ -98,7 +98,7 @@ def test_files_are_announced_in_batches_just_ahead_of_need() -> None:
         return LocalFile(Path("x"), "x", Identity(size, 0, 0, 0))
 
     mib = 1024 * 1024
-    assert [len(batch) for batch in batches([of(1000)] * 150)] == [64, 64, 22]
-    assert [len(batch) for batch in batches([of(mib)] * 40)] == [32, 8]
+    assert [len(batch) for batch in batches([of(1000)] * 150)] == [16, 100, 34]
+    assert [len(batch) for batch in batches([of(8 * mib)] * 40)] == [16, 16, 8]
     assert [len(batch) for batch in batches([of(1000), of(10**12), of(1000)])] == [1, 1, 1]
     assert [*batches([])] == []

@@ -114,6 +114,11 @@ class Budget:
             self._stop.check()
             self._used += amount
 
+    def used(self) -> int:
+        """Return how much is under way."""
+        with self._changed:
+            return self._used
+
     def release(self, amount: int) -> None:
         """Give `amount` back."""
         with self._changed:

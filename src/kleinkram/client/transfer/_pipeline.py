@@ -31,6 +31,7 @@ _FILES_UNDER_WAY = 256
 _AT_ONCE = 100
 _RENEW_S = 20.0
 _LINGER_S = 0.02
+_GATHER_S = 0.5
 _REFUSALS = 4
 
 _OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
@@ -233,13 +234,24 @@ class Pipeline:
 
     def _finish_loop(self) -> None:
         while True:
-            ready = [sending for sending in self._to_finish.take(_AT_ONCE) if self._is_unchanged(sending)]
+            ready = [sending for sending in self._all_sent() if self._is_unchanged(sending)]
             if not ready:
                 continue
             outcomes = self._uploads.complete([sending.to_finish() for sending in ready])
             for sending, outcome in zip(ready, outcomes.items, strict=True):
                 self._finished(sending, outcome)
                 self._release(sending)
+
+    def _all_sent(self) -> list[Sending]:
+        """Wait for files that are all sent: for a good number of them, as long as others are on their way."""
+        sent = self._to_finish.take(_AT_ONCE)
+        gathers_until = time.monotonic() + _GATHER_S
+        while len(sent) < min(_AT_ONCE, self._under_way.used()):
+            left_s = gathers_until - time.monotonic()
+            if left_s <= 0:
+                break
+            sent += self._to_finish.take(_AT_ONCE - len(sent), left_s)
+        return sent
 
     def _is_unchanged(self, sending: Sending) -> bool:
         try:

@@ -34,8 +34,9 @@ from kleinkram.contract.uploads import (
     UploadRead,
 )
 
-_BATCH_FILES = 64
-_BATCH_BYTES = 32 * 1024 * 1024
+_FIRST_BATCH_FILES = 16
+_BATCH_FILES = 100
+_BATCH_BYTES = 128 * 1024 * 1024
 _LEASE_PATIENCE_S = 90.0
 _LEASE_POLL_S = 2.0
 
@@ -242,13 +243,16 @@ class Uploader:
 
 
 def batches(files: Iterable[LocalFile]) -> Iterator[list[LocalFile]]:
-    """Yield files to announce together, in order: a few large ones are not hashed ahead, many small ones are."""
+    """Yield files to announce together, in order: a few large ones are not hashed ahead, many small ones are.
+
+    The first batch is small, so that sending begins at once.
+    """
     batch: list[LocalFile] = []
-    size = 0
+    size, at_most = 0, _FIRST_BATCH_FILES
     for file in files:
-        if batch and (len(batch) == _BATCH_FILES or size + file.size_bytes > _BATCH_BYTES):
+        if batch and (len(batch) == at_most or size + file.size_bytes > _BATCH_BYTES):
             yield batch
-            batch, size = [], 0
+            batch, size, at_most = [], 0, _BATCH_FILES
         batch.append(file)
         size += file.size_bytes
     if batch:
