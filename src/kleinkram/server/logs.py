@@ -29,5 +29,5 @@ def set_up_logs(log_format: Literal["json", "text"]) -> None:
         _JsonLines() if log_format == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    for noisy in ("botocore", "aiobotocore", "aiohttp", "uvicorn.access", "alembic", "procrastinate"):
+    for noisy in ("aiohttp", "uvicorn.access", "alembic", "procrastinate"):
         logging.getLogger(noisy).setLevel(logging.WARNING)

@@ -4,6 +4,7 @@ import base64
 import hashlib
 import logging
 import uuid
+from collections.abc import Mapping
 
 from awscrt.checksums import crc64nvme
 from sqlalchemy import func
@@ -12,7 +13,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.db import Connection
-from kleinkram.server.storage import Abilities, Storage, StoreRefused
+from kleinkram.server.storage import CHECKSUM_HEADERS, Abilities, Storage, StoreRefused
 from kleinkram.server.tables import store_probe
 
 _log = logging.getLogger("kleinkram.probe")
@@ -35,10 +36,10 @@ async def probe(storage: Storage) -> Abilities:
     raise StoreUnavailable(reason="it accepts bytes that differ from their checksum, so it cannot keep recordings safe")
 
 
-async def _takes(storage: Storage, key: str, **arguments: str) -> bool:
+async def _takes(storage: Storage, key: str, headers: Mapping[str, str]) -> bool:
     # Only the store's own refusal counts: one that does not answer has neither taken nor refused.
     try:
-        await storage.put_small(key, _BODY, **arguments)
+        await storage.put_small(key, _BODY, headers)
     except StoreRefused:
         return False
     return True
@@ -47,8 +48,8 @@ async def _takes(storage: Storage, key: str, **arguments: str) -> bool:
 async def _refuses_wrong(storage: Storage, kind: ChecksumKind) -> bool:
     key = f"probe/{uuid.uuid4()}"
     try:
-        right = await _takes(storage, key, **_argument(kind, _BODY))
-        return right and not await _takes(storage, f"{key}-wrong", **_argument(kind, _OTHER))
+        right = await _takes(storage, key, _stated(kind, _BODY))
+        return right and not await _takes(storage, f"{key}-wrong", _stated(kind, _OTHER))
     finally:
         await storage.delete(key)
         await storage.delete(f"{key}-wrong")
@@ -57,18 +58,20 @@ async def _refuses_wrong(storage: Storage, kind: ChecksumKind) -> bool:
 async def _writes_once(storage: Storage) -> bool:
     key = f"probe/{uuid.uuid4()}"
     try:
-        first = await _takes(storage, key, IfNoneMatch="*")
-        return first and not await _takes(storage, key, IfNoneMatch="*")
+        first = await _takes(storage, key, {"If-None-Match": "*"})
+        return first and not await _takes(storage, key, {"If-None-Match": "*"})
     finally:
         await storage.delete(key)
 
 
-def _argument(kind: ChecksumKind, body: bytes) -> dict[str, str]:
+def _stated(kind: ChecksumKind, body: bytes) -> dict[str, str]:
     if kind is ChecksumKind.crc64nvme:
-        return {"ChecksumCRC64NVME": base64.b64encode(crc64nvme(body).to_bytes(8, "big")).decode()}
-    if kind is ChecksumKind.sha256:
-        return {"ChecksumSHA256": base64.b64encode(hashlib.sha256(body).digest()).decode()}
-    return {"ContentMD5": base64.b64encode(hashlib.md5(body, usedforsecurity=False).digest()).decode()}
+        digest = crc64nvme(body).to_bytes(8, "big")
+    elif kind is ChecksumKind.sha256:
+        digest = hashlib.sha256(body).digest()
+    else:
+        digest = hashlib.md5(body, usedforsecurity=False).digest()
+    return {CHECKSUM_HEADERS[kind]: base64.b64encode(digest).decode()}
 
 
 async def _joins_by_full_checksum(storage: Storage) -> bool:

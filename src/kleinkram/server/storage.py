@@ -4,26 +4,20 @@ Addresses for clients are signed for the public store address, the server's own 
 called inside a database transaction. Keys are opaque, and an object is never written twice.
 """
 
-import asyncio
 import base64
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from typing import Any
-
-from aiobotocore.config import AioConfig
-from aiobotocore.session import get_session
-from aiohttp import ClientError as HttpError
-from botocore.exceptions import BotoCoreError, ClientError
+from xml.sax.saxutils import escape
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, HeldPart
+from kleinkram.server.s3 import LOST, S3, Answer, Question, S3Error, open_s3
 from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
 
-READ_BYTES = 1024 * 1024
-_HEADERS = {
+CHECKSUM_HEADERS = {
     ChecksumKind.crc64nvme: "x-amz-checksum-crc64nvme",
     ChecksumKind.sha256: "x-amz-checksum-sha256",
     ChecksumKind.md5: "Content-MD5",
@@ -95,11 +89,9 @@ class Signers:
 class Storage:
     """One bucket of one store."""
 
-    def __init__(self, client: Any, signers: Signers, bucket: str, abilities: Abilities) -> None:
-        # Any: botocore builds its clients from data at run time.
-        self._client = client
+    def __init__(self, s3: S3, signers: Signers, abilities: Abilities) -> None:
+        self._s3 = s3
         self._signers = signers
-        self.bucket = bucket
         self.abilities = abilities
 
     @property
@@ -108,44 +100,44 @@ class Storage:
         return self.abilities.checksum
 
     async def check(self) -> None:
-        """Ask for the bucket.
+        """Ask for the bucket: that it is there, and may be used.
 
         Raises:
             StoreUnavailable: the store does not answer, or not for this bucket and key.
         """
-        await self._call("head_bucket", Bucket=self.bucket)
+        await self._ask("ask for the bucket", Question("HEAD"))
 
     async def begin_multipart(self, key: str) -> str:
         """Open a multipart upload and return the store's id of it."""
-        arguments = {}
+        headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
-            arguments = {"ChecksumAlgorithm": "CRC64NVME", "ChecksumType": "FULL_OBJECT"}
+            headers = {"x-amz-checksum-algorithm": "CRC64NVME", "x-amz-checksum-type": "FULL_OBJECT"}
         elif self.checksum is ChecksumKind.sha256:
-            arguments = {"ChecksumAlgorithm": "SHA256"}
-        answer = await self._call("create_multipart_upload", Bucket=self.bucket, Key=key, **arguments)
-        return str(answer["UploadId"])
+            headers = {"x-amz-checksum-algorithm": "SHA256"}
+        answer = await self._ask("begin a multipart upload", Question("POST", key, {"uploads": ""}, headers))
+        return answer.text("UploadId")
 
     async def held_parts(self, key: str, multipart_id: str) -> list[HeldPart] | None:
         """Return the parts that the store holds, in order, or None when it no longer knows the upload."""
         raw = await self._raw_parts(key, multipart_id)
         if raw is None:
             return None
-        return [HeldPart(number=part["PartNumber"], size_bytes=part["Size"], etag=part["ETag"]) for part in raw]
+        return [
+            HeldPart(number=int(part["PartNumber"]), size_bytes=int(part["Size"]), etag=part["ETag"]) for part in raw
+        ]
 
-    async def _raw_parts(self, key: str, multipart_id: str) -> list[dict[str, Any]] | None:
-        parts: list[dict[str, Any]] = []
-        marker = 0
+    async def _raw_parts(self, key: str, multipart_id: str) -> list[dict[str, str]] | None:
+        parts: list[dict[str, str]] = []
+        query = {"uploadId": multipart_id}
         while True:
             try:
-                answer = await self._call(
-                    "list_parts", Bucket=self.bucket, Key=key, UploadId=multipart_id, PartNumberMarker=marker
-                )
+                answer = await self._ask("list parts", Question("GET", key, query))
             except StoreMissing:
                 return None
-            parts += answer.get("Parts", [])
-            if not answer.get("IsTruncated"):
+            parts += answer.entries("Part")
+            if answer.text("IsTruncated") != "true":
                 return parts
-            marker = int(answer["NextPartNumberMarker"])
+            query["part-number-marker"] = answer.text("NextPartNumberMarker")
 
     def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
         """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused.
@@ -154,7 +146,7 @@ class Storage:
         to replace what was proven meanwhile. A part's dies with its multipart upload.
         """
         checksum = base64.b64encode(bytes.fromhex(target.checksum)).decode()
-        headers = {_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)}
+        headers = {CHECKSUM_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)}
         query = {}
         if target.multipart_id is not None:
             query = {"uploadId": target.multipart_id, "partNumber": str(target.number)}
@@ -173,54 +165,47 @@ class Storage:
         parts = await self._raw_parts(key, multipart_id)
         if parts is None:
             raise StoreMissing(multipart_id)
-        listing: list[dict[str, Any]] = [{"PartNumber": part["PartNumber"], "ETag": part["ETag"]} for part in parts]
-        arguments: dict[str, Any] = {}
+        headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
-            arguments = {"ChecksumCRC64NVME": base64.b64encode(crc64nvme).decode(), "ChecksumType": "FULL_OBJECT"}
-        elif self.checksum is ChecksumKind.sha256:
-            for entry, part in zip(listing, parts, strict=True):
-                # Some stores verify it and do not list it; those that list it want it back.
-                entry |= {"ChecksumSHA256": part["ChecksumSHA256"]} if "ChecksumSHA256" in part else {}
-        await self._call(
-            "complete_multipart_upload",
-            Bucket=self.bucket,
-            Key=key,
-            UploadId=multipart_id,
-            MultipartUpload={"Parts": listing},
-            **arguments,
-        )
+            checksum = base64.b64encode(crc64nvme).decode()
+            headers = {CHECKSUM_HEADERS[ChecksumKind.crc64nvme]: checksum, "x-amz-checksum-type": "FULL_OBJECT"}
+        body = _part_list(parts, with_sha256=self.checksum is ChecksumKind.sha256)
+        question = Question("POST", key, {"uploadId": multipart_id}, headers, body)
+        await self._ask("complete a multipart upload", question)
 
     async def abort_multipart(self, key: str, multipart_id: str) -> None:
         """Drop a multipart upload and its parts; nothing happens where there is none."""
         try:
-            await self._call("abort_multipart_upload", Bucket=self.bucket, Key=key, UploadId=multipart_id)
+            await self._ask("abort a multipart upload", Question("DELETE", key, {"uploadId": multipart_id}))
         except StoreMissing:
             return
 
     async def find(self, key: str) -> StoredObject | None:
         """Return what the store says of an object, or None where there is none."""
         try:
-            answer = await self._call("head_object", Bucket=self.bucket, Key=key, ChecksumMode="ENABLED")
+            question = Question("HEAD", key, headers={"x-amz-checksum-mode": "ENABLED"})
+            answer = await self._ask("look for an object", question)
         except StoreMissing:
             return None
-        crc = answer.get("ChecksumCRC64NVME")
-        return StoredObject(key, answer["ContentLength"], base64.b64decode(crc) if crc else None)
+        crc = answer.headers.get(CHECKSUM_HEADERS[ChecksumKind.crc64nvme])
+        return StoredObject(key, int(answer.headers["content-length"]), base64.b64decode(crc) if crc else None)
 
     async def sizes(self, prefix: str) -> dict[str, int]:
         """Return the sizes in bytes of all objects whose keys begin with `prefix`."""
         found: dict[str, int] = {}
-        arguments: dict[str, Any] = {"Bucket": self.bucket, "Prefix": prefix}
+        query = {"list-type": "2", "prefix": prefix}
         while True:
-            answer = await self._call("list_objects_v2", **arguments)
-            found |= {entry["Key"]: entry["Size"] for entry in answer.get("Contents", [])}
-            if not answer.get("IsTruncated"):
+            answer = await self._ask("list objects", Question("GET", query=query))
+            found |= {entry["Key"]: int(entry["Size"]) for entry in answer.entries("Contents")}
+            if answer.text("IsTruncated") != "true":
                 return found
-            arguments["ContinuationToken"] = answer["NextContinuationToken"]
+            query["continuation-token"] = answer.text("NextContinuationToken")
 
     async def open_multiparts(self, prefix: str) -> list[tuple[str, str]]:
         """Return key and id of the multipart uploads under way whose keys begin with `prefix`."""
-        answer = await self._call("list_multipart_uploads", Bucket=self.bucket, Prefix=prefix)
-        return [(entry["Key"], entry["UploadId"]) for entry in answer.get("Uploads", [])]
+        question = Question("GET", query={"uploads": "", "prefix": prefix})
+        answer = await self._ask("list multipart uploads", question)
+        return [(entry["Key"], entry["UploadId"]) for entry in answer.entries("Upload")]
 
     def sign_read(self, key: str, *, path: str, expires_s: float) -> str:
         """Return where a client reads an object, whole or by ranges; a browser saves it under the file's name."""
@@ -240,23 +225,22 @@ class Storage:
             StoreUnavailable: the store does not answer, or stops in the middle.
         """
         try:
-            answer = await self._call("get_object", Bucket=self.bucket, Key=key)
-        except StoreMissing:
-            raise FileNotFoundError(key) from None
-        async with answer["Body"] as body:
-            try:
-                while piece := await body.read(READ_BYTES):
-                    yield piece
-            except (HttpError, BotoCoreError, asyncio.TimeoutError, OSError) as error:
-                raise StoreUnavailable(reason=f"reading stopped: {type(error).__name__}") from error
+            async for piece in self._s3.stream(Question("GET", key)):
+                yield piece
+        except S3Error as error:
+            if error.code == "NoSuchKey":
+                raise FileNotFoundError(key) from None
+            raise StoreUnavailable(reason=f"read an object: {error.code}") from error
+        except LOST as error:
+            raise StoreUnavailable(reason=f"reading stopped: {type(error).__name__}") from error
 
-    async def put_small(self, key: str, body: bytes, **arguments: str) -> None:
-        """Write a small object of the server's own.
+    async def put_small(self, key: str, body: bytes, headers: Mapping[str, str] | None = None) -> None:
+        """Write a small object of the server's own, by the conditions that `headers` state.
 
         Raises:
             StoreRefused: the store would not take it.
         """
-        await self._call("put_object", Bucket=self.bucket, Key=key, Body=body, **arguments)
+        await self._ask("write an object", Question("PUT", key, {}, headers or {}, body))
 
     async def put_small_part(self, key: str, multipart_id: str, body: bytes) -> None:
         """Write one small part of the server's own.
@@ -264,30 +248,40 @@ class Storage:
         Raises:
             StoreRefused: the store would not take it.
         """
-        await self._call("upload_part", Bucket=self.bucket, Key=key, UploadId=multipart_id, PartNumber=1, Body=body)
+        query = {"uploadId": multipart_id, "partNumber": "1"}
+        await self._ask("write a part", Question("PUT", key, query, {}, body))
 
     def proving_by(self, checksum: ChecksumKind) -> "Storage":
         """Return the same store, asked for another kind of proof."""
-        return Storage(self._client, self._signers, self.bucket, replace(self.abilities, checksum=checksum))
+        return Storage(self._s3, self._signers, replace(self.abilities, checksum=checksum))
 
     def with_abilities(self, abilities: Abilities) -> "Storage":
         """Return the same store, of which more is known."""
-        return Storage(self._client, self._signers, self.bucket, abilities)
+        return Storage(self._s3, self._signers, abilities)
 
     async def delete(self, key: str) -> None:
         """Delete an object; nothing happens where there is none."""
-        await self._call("delete_object", Bucket=self.bucket, Key=key)
+        await self._ask("delete an object", Question("DELETE", key))
 
-    async def _call(self, operation: str, **arguments: Any) -> dict[str, Any]:
+    async def _ask(self, what: str, question: Question) -> Answer:
         try:
-            answer: dict[str, Any] = await getattr(self._client, operation)(**arguments)
-        except ClientError as error:
-            raise _refusal(error, operation) from error
-        except (BotoCoreError, HttpError, asyncio.TimeoutError, OSError) as error:
-            raise StoreUnavailable(reason=f"{operation}: {type(error).__name__}") from error
-        return answer
+            return await self._s3.ask(question)
+        except S3Error as error:
+            raise _refusal(error, what, question) from error
+        except LOST as error:
+            raise StoreUnavailable(reason=f"{what}: {type(error).__name__}") from error
 
 
+def _part_list(parts: list[dict[str, str]], *, with_sha256: bool) -> bytes:
+    """What a store is sent to join parts."""
+    # Some stores verify a part's SHA-256 and do not list it; those that list it want it back.
+    names = ["PartNumber", "ETag", *(["ChecksumSHA256"] if with_sha256 else [])]
+    listing = ("".join(f"<{name}>{escape(part[name])}</{name}>" for name in names if name in part) for part in parts)
+    joined = "".join(f"<Part>{each}</Part>" for each in listing)
+    return f'<CompleteMultipartUpload xmlns="{_NAMESPACE}">{joined}</CompleteMultipartUpload>'.encode()
+
+
+_NAMESPACE = "http://s3.amazonaws.com/doc/2006-03-01/"
 # What a store says when the request itself is at fault. Everything else may go better another time.
 _REFUSALS = frozenset(
     {"InvalidPart", "InvalidPartOrder", "EntityTooSmall", "EntityTooLarge", "InvalidRequest", "InvalidArgument"}
@@ -297,38 +291,18 @@ _DIGESTS = frozenset({"BadDigest", "InvalidDigest", "XAmzContentChecksumMismatch
 _MISSING = frozenset({"NoSuchKey", "NoSuchUpload"})
 
 
-def _refusal(error: ClientError, operation: str) -> Exception:
-    code = str(error.response["Error"].get("Code", "unknown"))
-    status = int(error.response["ResponseMetadata"].get("HTTPStatusCode", 500))
-    if operation != "head_bucket" and (code in _MISSING or (operation == "head_object" and status == 404)):
-        return StoreMissing(operation)
-    if code in _DIGESTS or code in _REFUSALS:
-        words = f"{operation}: {code}: {error.response['Error'].get('Message', '')}"
-        return StoreRefused(words, is_digest=code in _DIGESTS)
-    return StoreUnavailable(reason=f"{operation}: {code}")
+def _refusal(error: S3Error, what: str, question: Question) -> Exception:
+    # An answer to HEAD has no body, so that the status is all it says.
+    if question.key and (error.code in _MISSING or (question.method == "HEAD" and error.status == 404)):
+        return StoreMissing(what)
+    if error.code in _DIGESTS or error.code in _REFUSALS:
+        return StoreRefused(f"{what}: {error.code}: {error.words}", is_digest=error.code in _DIGESTS)
+    return StoreUnavailable(reason=f"{what}: {error.code}")
 
 
 @asynccontextmanager
 async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
     """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
     signers = Signers(Presigner(settings, settings.store_public_url), Presigner(settings, settings.s3_internal_url))
-    opening = get_session().create_client(
-        "s3",
-        endpoint_url=settings.s3_internal_url,
-        region_name=settings.s3_region,
-        aws_access_key_id=settings.s3_access_key,
-        aws_secret_access_key=settings.s3_secret_key.get_secret_value(),
-        verify=str(settings.s3_ca_file) if settings.s3_ca_file else None,
-        config=AioConfig(
-            signature_version="s3v4",
-            s3={"addressing_style": "path"},
-            request_checksum_calculation="when_required",
-            response_checksum_validation="when_required",
-            connect_timeout=5,
-            read_timeout=60,
-            max_pool_connections=32,
-            retries={"max_attempts": 3, "mode": "standard"},
-        ),
-    )
-    async with opening as client:
-        yield Storage(client, signers, settings.s3_bucket, Abilities(ChecksumKind.md5, writes_once=False))
+    async with open_s3(settings, signers.internal) as s3:
+        yield Storage(s3, signers, Abilities(ChecksumKind.md5, writes_once=False))

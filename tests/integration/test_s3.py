@@ -1,0 +1,121 @@
+"""How the server's S3 client takes the answers of a store in trouble, which a healthy one never gives."""
+
+import asyncio
+import http.server
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.s3 import Question, S3Error, open_s3
+from kleinkram.server.settings import Settings
+from kleinkram.server.signing import Presigner
+from kleinkram.server.storage import open_storage
+
+
+@dataclass(frozen=True)
+class Said:
+    """One answer: its status, its body, and how much longer than that it claims to be."""
+
+    status: int
+    body: bytes = b""
+    missing_bytes: int = 0
+
+
+@contextmanager
+def _store(answers: list[Said]) -> Iterator[tuple[Settings, list[str]]]:
+    """Serve these answers, one after the other; yields its settings and the requests it has seen."""
+    seen: list[str] = []
+
+    class Scripted(http.server.BaseHTTPRequestHandler):
+        def _answer(self) -> None:
+            self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            seen.append(f"{self.command} {self.path.partition('?')[0]}")
+            said = answers[min(len(seen), len(answers)) - 1]
+            self.send_response(said.status)
+            self.send_header("Content-Length", str(len(said.body) + said.missing_bytes))
+            self.end_headers()
+            self.wfile.write(said.body)
+
+        do_GET = do_PUT = do_POST = do_HEAD = _answer  # noqa: N815  (the names http.server looks for)
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  (the name it has in the base class)
+            """Say nothing."""
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Scripted) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        told = {"database_url": "postgresql://a@b/c", "s3_internal_url": f"http://127.0.0.1:{server.server_port}"}
+        try:
+            yield Settings.model_validate({**told, "s3_access_key": "key", "s3_secret_key": "secret"}), seen
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def _ask(settings: Settings, question: Question) -> str:
+    async def run() -> str:
+        async with open_s3(settings, Presigner(settings, settings.s3_internal_url)) as s3:
+            return (await s3.ask(question)).text("UploadId")
+
+    return asyncio.run(run())
+
+
+_DONE = Said(200, b"<R xmlns='urn:any'><UploadId>7</UploadId></R>")
+
+
+def test_what_passes_by_itself_is_tried_again() -> None:
+    with _store([Said(503), Said(500, b"<Error><Code>InternalError</Code></Error>"), _DONE]) as (settings, seen):
+        assert _ask(settings, Question("POST", "a b", {"uploads": ""})) == "7"
+    assert seen == ["POST /kleinkram/a%20b"] * 3
+
+
+def test_trouble_that_stays_is_told_after_three_attempts() -> None:
+    with (
+        _store([Said(503, b"<Error><Code>SlowDown</Code><Message>less</Message></Error>")]) as (settings, seen),
+        pytest.raises(S3Error, match="SlowDown: less"),
+    ):
+        _ask(settings, Question("PUT", "a", body=b"bytes"))
+    assert len(seen) == 3
+
+
+def test_a_refusal_is_not_tried_again() -> None:
+    with _store([Said(403, b"<html>a proxy's page"), _DONE]) as (settings, seen), pytest.raises(S3Error, match="403"):
+        _ask(settings, Question("GET", "a"))
+    assert len(seen) == 1
+
+
+def test_an_error_after_status_200_is_an_error() -> None:
+    with (
+        _store([Said(200, b"<Error><Code>InternalError</Code><Message>late</Message></Error>")]) as (settings, _),
+        pytest.raises(S3Error, match="InternalError: late"),
+    ):
+        _ask(settings, Question("POST", "a", {"uploadId": "7"}))
+
+
+@pytest.mark.parametrize("body", [b"", b"<html><title>404</title></html>"])
+def test_a_404_that_is_no_stores_word_does_not_mean_gone(body: bytes) -> None:
+    async def run(settings: Settings) -> None:
+        async with open_storage(settings) as storage:
+            with pytest.raises(StoreUnavailable):
+                await storage.held_parts("a", "7")
+            with pytest.raises(StoreUnavailable):
+                _ = [piece async for piece in storage.read("a")]
+
+    with _store([Said(404, body)]) as (settings, _):
+        asyncio.run(run(settings))
+
+
+def test_an_object_that_ends_early_is_no_object() -> None:
+    async def run(settings: Settings) -> None:
+        async with open_storage(settings) as storage:
+            pieces = storage.read("a")
+            assert await anext(pieces) == b"half"
+            with pytest.raises(StoreUnavailable, match="stopped"):
+                await anext(pieces)
+
+    with _store([Said(200, b"half", missing_bytes=4)]) as (settings, _):
+        asyncio.run(run(settings))
