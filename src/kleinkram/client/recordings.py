@@ -1,11 +1,22 @@
-"""Recordings, for programs: logical captures made of one or more files."""
+"""Recordings, for programs: logical captures made of one or more files, listed, and read where they are."""
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from kleinkram.client._http import Api
 from kleinkram.client._paging import pages
-from kleinkram.contract.files import RecordingRead
+from kleinkram.client.files import Files
+from kleinkram.client.missions import Missions
+from kleinkram.client.references import the_one
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.files import FileFilter, FileRead, RecordingRead
+from kleinkram.contract.names import is_id
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.reading import Recording
+
+_METADATA = "metadata.yaml"
 
 
 class Recordings:
@@ -25,3 +36,68 @@ class Recordings:
             NotFound: there is none with this id.
         """
         return self._api.get(f"/recordings/{recording_id}", RecordingRead)
+
+    def open(
+        self,
+        what: RecordingRead | FileRead | str | uuid.UUID,
+        *,
+        mission: str | uuid.UUID | None = None,
+        project: str | uuid.UUID | None = None,
+    ) -> "Recording":
+        """Open a recording on the server for reading, as `recordings.reading.Recording.open` does a local one.
+
+        Only what is asked for is fetched, straight from the store: the index when it is opened, then the chunks that
+        hold what is wanted. Use it in a `with`.
+
+        Args:
+            what: a recording, a file, the id of either; or the name of a recording in a mission, or a file's path.
+            mission: where a name or path is looked for.
+            project: of the mission.
+
+        Raises:
+            NotFound: there is no such recording or file.
+            AmbiguousName: several missions have a file of that path.
+            FileUnavailable: the store's copy is lost or corrupt.
+            NotARecording: it holds no messages that are read.
+            SourceError: the store does not give the bytes.
+        """
+        from kleinkram.client._remote import RemoteFiles
+        from kleinkram.recordings.reading import Recording  # only who reads pays for importing it
+
+        found = self._find(what, mission, project)
+        ids = [found.id] if isinstance(found, FileRead) else [*self._metadata_of(found), *found.file_ids]
+        return Recording.open(RemoteFiles(Files(self._api), ids))
+
+    def _find(
+        self,
+        what: RecordingRead | FileRead | str | uuid.UUID,
+        mission: str | uuid.UUID | None,
+        project: str | uuid.UUID | None,
+    ) -> RecordingRead | FileRead:
+        if isinstance(what, RecordingRead | FileRead):
+            return what
+        if isinstance(what, uuid.UUID) or is_id(what):
+            try:
+                return self.get(what)
+            except NotFound:
+                return Files(self._api).get(what)
+        if mission is not None:
+            named = self.list(Missions(self._api).get(mission, project=project).id)
+            try:
+                return the_one("recording", what, named, name=lambda row: row.name, label=_label)
+            except NotFound:
+                pass
+        return Files(self._api).get(what, mission=mission, project=project)
+
+    def _metadata_of(self, recording: RecordingRead) -> Sequence[uuid.UUID]:
+        """Return the id of the metadata.yaml beside the members: it says what the data files do not."""
+        if recording.kind != "rosbag2" or not recording.paths:
+            return []
+        folder = recording.paths[0].rpartition("/")[0]
+        path = f"{folder}/{_METADATA}" if folder else _METADATA
+        matching = FileFilter(mission_id=recording.mission.id, path=[path])
+        return [file.id for file in Files(self._api).list(matching) if file.path == path]
+
+
+def _label(recording: RecordingRead) -> str:
+    return f"{recording.name} ({recording.kind}, {recording.id})"

@@ -1,13 +1,14 @@
 """A source over HTTP ranges, such as a presigned URL of an S3 store.
 
 Reads nothing but the ranges it is asked for, follows no redirect, sends no credential, and says no more of the URL
-than its host in errors: a presigned URL is a secret.
+than its host in errors: a presigned URL is a secret. Where a signature has run out, it asks for a new one.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from urllib.parse import urlsplit
 
 import urllib3
@@ -25,6 +26,9 @@ TIMEOUT = urllib3.Timeout(connect=10, read=30)
 class HttpSource:
     """The bytes behind a URL that answers `Range` requests.
 
+    `renew` is asked for another URL of the same bytes when one is refused (403), as one whose time is over is; it may
+    be called by any of the threads that read, by one at a time.
+
     Attributes:
         bytes_read: bytes returned so far.
         reads: calls so far (retries not counted).
@@ -32,7 +36,15 @@ class HttpSource:
 
     parallel_reads = PARALLEL_READS
 
-    def __init__(self, url: str, *, size_bytes: int, name: str, pool: urllib3.PoolManager | None = None) -> None:
+    def __init__(
+        self,
+        url: str,
+        *,
+        size_bytes: int,
+        name: str,
+        pool: urllib3.PoolManager | None = None,
+        renew: Callable[[], str] | None = None,
+    ) -> None:
         self.name = name
         self.size_bytes = size_bytes
         self.bytes_read = 0
@@ -40,6 +52,8 @@ class HttpSource:
         self._url = url
         self._host = urlsplit(url).netloc.rpartition("@")[2]
         self._lock = threading.Lock()
+        self._renew = renew
+        self._renewing = threading.Lock()
         self._pool = pool or urllib3.PoolManager(maxsize=PARALLEL_READS, retries=False, timeout=TIMEOUT)
 
     def read(self, offset: int, length: int) -> bytes:
@@ -58,20 +72,34 @@ class HttpSource:
         return data
 
     def _fetch_stubbornly(self, offset: int, length: int, attempt: int = 1) -> bytes:
+        url = self._url
         try:
-            return self._fetch(offset, length)
+            return self._fetch(url, offset, length)
+        except _Refused as error:
+            if attempt == ATTEMPTS or not self._has_other(url):
+                raise SourceError(f"{self.name}: {error}") from error
+            return self._fetch_stubbornly(offset, length, attempt + 1)
         except _Retryable as error:
             if attempt == ATTEMPTS:
                 raise SourceError(f"{self.name}: {error} (tried {ATTEMPTS} times)") from error
         time.sleep(FIRST_PAUSE_S * 2 ** (attempt - 1))
         return self._fetch_stubbornly(offset, length, attempt + 1)
 
-    def _fetch(self, offset: int, length: int) -> bytes:
+    def _has_other(self, refused: str) -> bool:
+        """Get another URL in place of one that was refused; False where nobody has one."""
+        if self._renew is None:
+            return False
+        with self._renewing:
+            if self._url == refused:
+                self._url = self._renew()
+            return self._url != refused
+
+    def _fetch(self, url: str, offset: int, length: int) -> bytes:
         span = f"bytes={offset}-{offset + length - 1}"
         headers = {"Range": span, "Accept-Encoding": "identity"}
         try:
             response = self._pool.request(
-                "GET", self._url, headers=headers, redirect=False, retries=False, preload_content=False
+                "GET", url, headers=headers, redirect=False, retries=False, preload_content=False
             )
             data = b""
             try:
@@ -92,6 +120,8 @@ class HttpSource:
         status = response.status
         if status >= 500 or status == 429:
             raise _Retryable(f"{self._host} answered {status}")
+        if status == 403:
+            raise _Refused(f"{self._host} refused bytes {offset}+{length} with 403")
         if status == 200:
             raise SourceError(f"{self.name}: {self._host} ignores range requests (it answered 200, not 206)")
         if status != 206:
@@ -104,3 +134,7 @@ class HttpSource:
 
 class _Retryable(Exception):
     """The same request may succeed next time."""
+
+
+class _Refused(Exception):
+    """The URL is not good for this, or no longer."""

@@ -31,6 +31,9 @@ class HasSources(Protocol):
     def sources(self) -> Sequence[Source]:
         """Return the files in the order of recording, a metadata.yaml among them where there is one."""
 
+    def close(self) -> None:
+        """Give up what the sources need; called once, when the recording is closed."""
+
 
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
@@ -139,6 +142,7 @@ def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[_File]]:
         path = Path(what)
         return str(path), [_File(stack.enter_context(FileSource(member)), member) for member in _paths_of(path)]
     if isinstance(what, HasSources):
+        stack.callback(what.close)
         sources = [*what.sources()]
     elif isinstance(what, Sequence):
         sources = [*what]

@@ -11,19 +11,27 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from types import TracebackType
+from typing import TYPE_CHECKING
 
+from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, decoder_for, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.model import Problem
 from kleinkram.recordings.reading.chunked import MAX_MESSAGE
+from kleinkram.recordings.reading.decoded import decode_blocks
 from kleinkram.recordings.reading.errors import NoSuchTopic
 from kleinkram.recordings.reading.member import Member
 from kleinkram.recordings.reading.merging import Block, merge
 from kleinkram.recordings.reading.model import END_OF_TIME_NS, Channel, Message, RawMessage, Selection, Topic
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.opening import Openable, open_members
+from kleinkram.recordings.reading.tables import Notice, timed
 from kleinkram.recordings.reading.times import Time, to_ns
 from kleinkram.recordings.reading.topics import list_topics
 from kleinkram.recordings.reading.unpacking import unpack_message
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
 
 Topics = str | Sequence[str]
 """Names of topics, or globs of them (`*`, `?`)."""
@@ -100,9 +108,60 @@ class Recording:
         A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
         one that does not fit its schema, which is then named in `problems`.
         """
-        from kleinkram.recordings.reading.decoded import decode_blocks  # decoding is only imported where it is used
-
         return decode_blocks(self._blocks(self._select(topics, start, end)), self._noticed)
+
+    def to_arrow(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> pa.Table:
+        """Return the messages of one topic as an Arrow table, one row each, in the order of log time.
+
+        Args:
+            topic: its name.
+            fields: dotted names, each with all that lies below it, such as "linear_acceleration.x"; None: all.
+            start: earliest log time, inclusive.
+            end: latest log time, exclusive.
+
+        Returns:
+            `log_time_ns` and `publish_time_ns` (int64, nanoseconds of the log clock), then a column a field, in the
+            units of the message type. Without a schema that can be decoded: one column `data`.
+
+        Raises:
+            NoSuchTopic: there is none of that name.
+            NoSuchField: a name that fits no column.
+            ReadingExtraMissing: the extra `reading` is not installed.
+            SourceError: the bytes cannot be read.
+        """
+        decoder, messages = self._of_topic(topic, start, end)
+        return to_arrow(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+
+    def to_pandas(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> pd.DataFrame:
+        """Return what `to_arrow` returns, as a pandas frame."""
+        decoder, messages = self._of_topic(topic, start, end)
+        return to_pandas(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+
+    def batches(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> Iterator[pa.RecordBatch]:
+        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
+        decoder, messages = self._of_topic(topic, start, end)
+        return arrow_batches(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
 
     def topic(self, name: str) -> Topic:
         """Return the topic of this name.
@@ -127,11 +186,18 @@ class Recording:
     ) -> None:
         self.close()
 
+    def _of_topic(
+        self, name: str, start: Time | None, end: Time | None
+    ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]]]:
+        topic = self.topic(name)
+        schema = topic.schema
+        selection = Selection(frozenset((name,)), *_span(start, end))
+        decoder = decoder_for(topic.message_encoding, schema.name, schema.encoding, schema.data)
+        return decoder, timed(self._blocks(selection), schema, self._noticed)
+
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
-        start_ns = 0 if start is None else to_ns(start)
-        end_ns = END_OF_TIME_NS if end is None else to_ns(end)
         if topics is None:
-            return Selection(None, start_ns, end_ns)
+            return Selection(None, *_span(start, end))
         names = [topic.name for topic in self.topics]
         found: set[str] = set()
         for wanted in [topics] if isinstance(topics, str) else topics:
@@ -140,7 +206,7 @@ class Recording:
             if not hits and not is_glob:
                 raise NoSuchTopic(wanted, names)
             found.update(hits)
-        return Selection(frozenset(found), start_ns, end_ns)
+        return Selection(frozenset(found), *_span(start, end))
 
     def _blocks(self, selection: Selection) -> Iterator[Block]:
         """Yield the messages as lists that follow each other in time."""
@@ -162,6 +228,10 @@ class Recording:
         except Malformed as error:
             self._noticed.add("damaged-message", message.topic, f"left out: {error.message}")
             return None
+
+
+def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
+    return (0 if start is None else to_ns(start)), (END_OF_TIME_NS if end is None else to_ns(end))
 
 
 def _channels(member: Member) -> list[Channel]:

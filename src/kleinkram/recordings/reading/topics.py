@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from kleinkram.recordings.decoding import Undecodable, decoder_for
 from kleinkram.recordings.reading.member import Contents
 from kleinkram.recordings.reading.model import Channel, Topic
 
@@ -29,8 +30,6 @@ def _topic(channel: Channel, count: int | None) -> Topic:
 
 def undecodable(channel: Channel) -> str | None:
     """Return why messages of a channel stay bytes; None where they can be decoded."""
-    from kleinkram.recordings.decoding import Undecodable, decoder_for  # slow to import
-
     schema = channel.schema
     decoder = decoder_for(channel.message_encoding, schema.name, schema.encoding, schema.data)
     return decoder.reason if isinstance(decoder, Undecodable) else None

@@ -1,0 +1,45 @@
+"""Files on the server as sources of bytes: presigned ranges, with new addresses when the old ones have run out."""
+
+import uuid
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import urllib3
+
+from kleinkram.client.files import Files
+from kleinkram.contract.files import DownloadLink
+from kleinkram.recordings.http_source import TIMEOUT, HttpSource
+from kleinkram.recordings.limits import PARALLEL_READS
+
+_MOST_FILES = 500
+
+
+class RemoteFiles:
+    """The files of one recording, what `Recording.open` takes. Safe to share between threads."""
+
+    def __init__(self, files: Files, file_ids: Sequence[uuid.UUID]) -> None:
+        self._files = files
+        self._file_ids = file_ids
+        self._pool = urllib3.PoolManager(maxsize=PARALLEL_READS, retries=False, timeout=TIMEOUT)
+
+    def sources(self) -> Sequence[HttpSource]:
+        """Return a source for each file, in the order given.
+
+        Raises:
+            FileUnavailable: the store's copy of one is lost or corrupt.
+        """
+        links: list[DownloadLink] = []
+        for at in range(0, len(self._file_ids), _MOST_FILES):
+            links += self._files.links(self._file_ids[at : at + _MOST_FILES]).items
+        return [self._source(link) for link in links]
+
+    def close(self) -> None:
+        """Close the connections to the store."""
+        self._pool.clear()
+
+    def _source(self, link: DownloadLink) -> HttpSource:
+        renew: Callable[[], str] = partial(self._sign_again, link.file_id)
+        return HttpSource(link.url, size_bytes=link.size_bytes, name=link.path, pool=self._pool, renew=renew)
+
+    def _sign_again(self, file_id: uuid.UUID) -> str:
+        return self._files.links([file_id]).items[0].url
