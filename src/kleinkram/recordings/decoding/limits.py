@@ -26,11 +26,17 @@ MAX_OBJECTS = 1_000_000
 MAX_JSON_VALUES = 2_000_000
 """Values in one JSON message, by the commas and brackets in it."""
 
-MAX_IMAGE_PIXELS = 200_000_000
-"""Pixels of one picture: far above any camera on a robot, far below what a bomb unpacks to."""
+MAX_JSON_DEPTH = 100
+"""How deep JSON may nest."""
+
+MAX_IMAGE_PIXELS = 64_000_000
+"""Pixels of one picture: above any camera on a robot, far below what a compressed bomb unpacks to."""
+
+MAX_POINT_FIELDS = 1000
+"""Fields of a point in a cloud."""
 
 BATCH_MESSAGES = 65_536
 """Messages of one batch of a table."""
 
-BATCH_BYTES = 64 * 2**20
+BATCH_BYTES = 16 * 2**20
 """Bytes of messages that are collected for one batch of a table."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError
-from kleinkram.recordings.decoding.limits import MAX_JSON_VALUES, MAX_TYPES
+from kleinkram.recordings.decoding.limits import MAX_JSON_DEPTH, MAX_JSON_VALUES, MAX_TYPES
 
 Decode = Callable[[bytes], Any]
 
@@ -20,15 +20,33 @@ def json_decode(name: str) -> Decode:
         if sum(map(raw.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
             raise DecodeError(name, f"more than {MAX_JSON_VALUES} values in one JSON message")
         try:
-            return json.loads(raw)
+            value = json.loads(raw)
         except json.JSONDecodeError as error:
             raise DecodeError(name, f"it is no JSON: {error.msg}", offset=error.pos) from None
         except RecursionError:
             raise DecodeError(name, "its JSON nests too deep") from None
         except ValueError:  # no text, or a number of thousands of digits
             raise DecodeError(name, "it is no JSON that can be read") from None
+        if raw.count(b"[") + raw.count(b"{") > MAX_JSON_DEPTH and _is_deep(value):
+            raise DecodeError(name, f"its JSON nests more than {MAX_JSON_DEPTH} deep")
+        return value
 
     return decode
+
+
+def _is_deep(value: Any) -> bool:
+    level = [value]
+    for _ in range(MAX_JSON_DEPTH):
+        level = [
+            part
+            for whole in level
+            if isinstance(whole, (dict, list))
+            for part in (whole.values() if isinstance(whole, dict) else whole)
+            if isinstance(part, (dict, list))
+        ]
+        if not level:
+            return False
+    return True
 
 
 def protobuf_decode(name: str, schema: bytes) -> Decode:

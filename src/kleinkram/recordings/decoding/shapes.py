@@ -1,0 +1,155 @@
+"""The shape of a message: where each of its values lies, given the lengths in it.
+
+Messages of one topic mostly have the same shape: the same length of every text and array. Such messages lie under each
+other like rows of a table, and a column of bytes is a column of values; `gather` reads them so. Two messages have the
+same shape exactly if they have the same size, and the same bytes in all places that say a length.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from kleinkram.recordings.decoding.schema import Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.wire import ENCAPSULATIONS, ROS1, Wire, is_numbers
+
+_MAX_NODES = 1500
+
+
+class NoShape(Exception):
+    """A message whose shape is not followed: damaged, or of too many parts. It is decoded by itself."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number at an offset."""
+
+    offset: int
+    kind: Primitive
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text of `length` bytes."""
+
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers one behind the other."""
+
+    offset: int
+    count: int
+    kind: Primitive
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The elements of an array, or the fields of a type, in order."""
+
+    parts: tuple[Node, ...]
+
+
+Node = Number | Text | Numbers | Parts
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Where the values of a message lie.
+
+    Attributes:
+        fixed: offsets of all bytes that make the shape what it is.
+        root: the fields of the message.
+    """
+
+    order: str
+    fixed: tuple[int, ...]
+    root: Parts
+
+
+def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
+    """Return the shape of a message.
+
+    Raises:
+        NoShape: see there.
+    """
+    wire = ROS1
+    if message_encoding != "ros1":
+        if len(data) < 4 or data[0] or data[1] not in ENCAPSULATIONS:
+            raise NoShape
+        wire = ENCAPSULATIONS[data[1]]
+    walk = _Walk(data, wire)
+    parts = walk.fields(root)
+    if walk.at > len(data):
+        raise NoShape
+    header = (0, 1) if wire.start else ()
+    fixed = (*header, *(place + step for place in walk.lengths for step in range(4)))
+    return Shape(wire.order, fixed, parts)
+
+
+class _Walk:
+    def __init__(self, data: bytes, wire: Wire) -> None:
+        self._data = data
+        self._wire = wire
+        self.at = wire.start
+        self.lengths: list[int] = []
+        self._nodes = 0
+        self._count = struct.Struct(f"{wire.order}I")
+
+    def fields(self, kind: Struct) -> Parts:
+        if not kind.fields:
+            self.at += self._wire.empty_size if self.at < len(self._data) else 0
+        return Parts(tuple(self._read(field.type) for field in kind.fields))
+
+    def _read(self, kind: Type) -> Node:
+        self._nodes += 1
+        if self._nodes > _MAX_NODES:
+            raise NoShape
+        if isinstance(kind, Struct):
+            return self.fields(kind)
+        if isinstance(kind, Array):
+            return self._array(kind)
+        if kind.code:
+            self._align(kind.size)
+            self.at += kind.size
+            return Number(self.at - kind.size, kind)
+        if kind.name == "wstring":
+            raise NoShape
+        length = self._length()
+        self.at += length
+        return Text(self.at - length, max(0, length - self._wire.counts_nul))
+
+    def _array(self, kind: Array) -> Node:
+        if not is_numbers(kind) and self._wire.has_lengths:
+            self._length()
+        count = self._length() if kind.length is None else kind.length
+        if not is_numbers(kind):
+            return Parts(tuple(self._elements(kind.element, count)))
+        if not isinstance(kind.element, Primitive):
+            raise NoShape
+        if count:
+            self._align(kind.element.size)
+        self.at += count * kind.element.size
+        return Numbers(self.at - count * kind.element.size, count, kind.element)
+
+    def _elements(self, kind: Type, count: int) -> Iterator[Node]:
+        if count > _MAX_NODES:
+            raise NoShape
+        return (self._read(kind) for _ in range(count))
+
+    def _length(self) -> int:
+        self._align(4)
+        try:
+            (length,) = self._count.unpack_from(self._data, self.at)
+        except struct.error:
+            raise NoShape from None
+        self.lengths.append(self.at)
+        self.at += 4
+        return int(length)
+
+    def _align(self, size: int) -> None:
+        size = min(size, self._wire.alignment)
+        self.at += (self._wire.start - self.at) % size
