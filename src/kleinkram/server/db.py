@@ -4,12 +4,12 @@ A request has one transaction by default: committed when the route returns, roll
 store must be asked in between, a flow opens several with `Database.begin`.
 """
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
 import psycopg
-from sqlalchemy import make_url
+from sqlalchemy import ARRAY, ColumnElement, any_, literal, make_url
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
@@ -74,12 +74,12 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
     return Database(engine)
 
 
-async def driver_connection(connection: Connection) -> psycopg.AsyncConnection[Any]:
-    """Return the psycopg connection of an open transaction, to enqueue jobs inside it."""
-    raw = (await connection.get_raw_connection()).driver_connection
-    if not isinstance(raw, psycopg.AsyncConnection):
-        raise TypeError(f"the driver is {type(raw).__name__}, not psycopg")
-    return raw
+def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:
+    """Say of a column whether it is one of some values.
+
+    As one array, whatever their number: the statement stays the same, so it is compiled and prepared once.
+    """
+    return column == any_(literal([*values], ARRAY(column.type)))
 
 
 def violated_constraint(error: DBAPIError) -> str | None:

@@ -13,6 +13,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
+from kleinkram.server.db import among
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.search.topics import topic_rows
@@ -111,7 +112,7 @@ def _hex(digest: bytes | None) -> str | None:
 
 def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the visible files among some ids."""
-    return file_rows(visible_files(actor).where(file.c.id.in_(file_ids)))
+    return file_rows(visible_files(actor).where(among(file.c.id, file_ids)))
 
 
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
@@ -147,7 +148,7 @@ def change_file(file_id: uuid.UUID, **values: object) -> Update:
 def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
     """Return `path_key` and `path` of a mission's files under the given keys."""
     found = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
-    return found.where(file.c.path_key.in_(keys))
+    return found.where(among(file.c.path_key, keys))
 
 
 def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:

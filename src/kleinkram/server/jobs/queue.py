@@ -5,10 +5,9 @@ import uuid
 from collections.abc import Sequence
 
 from procrastinate import App, PsycopgConnector
-from procrastinate.types import JSONValue
 from sqlalchemy import ColumnElement, Text, cast, column, exists, literal, select, table, text
 
-from kleinkram.server.db import Connection, driver_connection
+from kleinkram.server.db import Connection
 
 
 class Job(str, enum.Enum):
@@ -36,18 +35,19 @@ _LANES = {Job.prove_blob: PROVING}
 # The worker gives it a connector of its own; the API enqueues over its own transactions.
 queue = App(connector=PsycopgConnector())
 
+# The library's own function, given the ids alone: its client would build, log and dump each job by itself.
+_DEFER = text(
+    "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:lane AS varchar), CAST(:task AS varchar),"
+    " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), NULL)::procrastinate_job_to_defer_v1"
+    " ORDER BY place)) FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
+)
+
 
 async def enqueue(db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency) -> None:
-    """Enqueue one job for each id, as part of the caller's transaction."""
+    """Enqueue one job for each id, in their order, as part of the caller's transaction."""
     if ids:
-        deferrer = queue.configure_task(
-            job.value,
-            queue=_LANES.get(job, DEFAULT),
-            priority=int(urgency),
-            connection=await driver_connection(db),
-        )
-        arguments: list[dict[str, JSONValue]] = [{"ref": each} for each in ids]
-        await deferrer.batch_defer_async(*arguments)
+        said = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
+        await db.execute(_DEFER, said)
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))

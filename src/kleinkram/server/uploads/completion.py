@@ -34,7 +34,7 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
@@ -60,7 +60,7 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
     pending = [row for row in rows.values() if row.id not in failures and row.state != UploadState.done.value]
     failures |= await settle(site, actor, pending)
     async with site.database.begin() as db:
-        found = await db.execute(select(upload.c.id, upload.c.file_id).where(upload.c.id.in_(list(rows))))
+        found = await db.execute(select(upload.c.id, upload.c.file_id).where(among(upload.c.id, rows)))
         made = {row.id: row.file_id for row in found if row.file_id}
         reads = {read.id: read for read in await files.read_visible_files(db, actor, list(made.values()))}
     outcomes: list[UploadOutcome] = []
@@ -85,6 +85,8 @@ async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures
     for mission_id, group in by_mission.items():
         async with site.database.begin() as db:
             failures |= await _make_files(db, actor, mission_id, group)
+    if not failures:
+        return failures
     ended = {key: error for key, error in failures.items() if not isinstance(error, UploadIncomplete)}
     async with site.database.begin() as db:
         await _note_failures(db, actor, failures, ended)
@@ -123,7 +125,7 @@ async def _mark(
         )
         await db.execute(statement, marks)
     ids = [finish.upload_id for finish in finishes]
-    return {row.id: row for row in await db.execute(select(upload).where(upload.c.id.in_(ids)))}
+    return {row.id: row for row in await db.execute(select(upload).where(among(upload.c.id, ids)))}
 
 
 def _unfit(row: Row[Any] | None, finish: UploadFinish) -> KleinkramError | None:
@@ -206,7 +208,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     if not await missions.lock_visible_mission(db, actor, mission_id):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
     locked = select(upload.c.id).where(
-        upload.c.id.in_([row.id for row in rows]), upload.c.state == UploadState.completing.value
+        among(upload.c.id, [row.id for row in rows]), upload.c.state == UploadState.completing.value
     )
     still = set((await db.execute(locked.order_by(upload.c.id).with_for_update())).scalars())
     rows = [row for row in rows if row.id in still]
@@ -313,7 +315,7 @@ async def _close(db: Connection, made: Mapping[uuid.UUID, uuid.UUID]) -> None:
     statement = update(upload).where(upload.c.id == bindparam("b_id"))
     values = {"state": UploadState.done.value, "file_id": bindparam("b_file_id")}
     await db.execute(statement.values(**values), [{"b_id": key, "b_file_id": value} for key, value in made.items()])
-    await db.execute(update(upload).where(upload.c.id.in_(list(made)), kept).values(cleaned_at=func.now()))
+    await db.execute(update(upload).where(among(upload.c.id, made), kept).values(cleaned_at=func.now()))
 
 
 async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended: Failures) -> None:
@@ -322,7 +324,7 @@ async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended
     if reopened:
         await db.execute(
             update(upload)
-            .where(upload.c.id.in_(reopened), completing)
+            .where(among(upload.c.id, reopened), completing)
             .values(state=UploadState.open.value, completing_since=None)
         )
     for upload_id, error in ended.items():

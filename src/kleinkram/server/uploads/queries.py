@@ -4,13 +4,13 @@ import uuid
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, func, select, tuple_
+from sqlalchemy import ColumnElement, Row, Select, func, select
 
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import blob, file, mission, upload
 
 # What makes two files the same: size in bytes and SHA-256.
@@ -29,7 +29,7 @@ async def live_files(db: Connection, mission_id: uuid.UUID, path_keys: Collectio
     statement = (
         select(file.c.id, file.c.path, file.c.path_key, blob.c.size_bytes, blob.c.sha256, blob.c.state)
         .join(blob, blob.c.id == file.c.blob_id)
-        .where(file.c.mission_id == mission_id, file.c.path_key.in_(path_keys), file.c.deleted_at.is_(None))
+        .where(file.c.mission_id == mission_id, among(file.c.path_key, path_keys), file.c.deleted_at.is_(None))
     )
     return {row.path_key: row for row in await db.execute(statement)}
 
@@ -38,7 +38,7 @@ async def active_uploads(db: Connection, mission_id: uuid.UUID, path_keys: Colle
     """Return the uploads that hold the given keys of a mission, locked."""
     statement = (
         select(upload, (upload.c.lease_ends_at > func.now()).label("leased"))
-        .where(upload.c.mission_id == mission_id, upload.c.path_key.in_(path_keys), upload.c.state.in_(ACTIVE))
+        .where(upload.c.mission_id == mission_id, among(upload.c.path_key, path_keys), upload.c.state.in_(ACTIVE))
         .order_by(upload.c.id)
         .with_for_update()
     )
@@ -47,7 +47,7 @@ async def active_uploads(db: Connection, mission_id: uuid.UUID, path_keys: Colle
 
 async def twin_sizes(db: Connection, actor: Actor, sizes: Collection[int]) -> set[int]:
     """Return those of `sizes` of which `actor` may read a trusted blob: files of them are worth hashing first."""
-    statement = select(blob.c.size_bytes).where(blob.c.size_bytes.in_(sizes), _trusted_by(actor), _read_by(actor))
+    statement = select(blob.c.size_bytes).where(among(blob.c.size_bytes, sizes), _trusted_by(actor), _read_by(actor))
     return set((await db.execute(statement.distinct())).scalars())
 
 
@@ -55,7 +55,12 @@ async def twins(db: Connection, actor: Actor, hashes: Collection[Content]) -> di
     """Return trusted, readable blobs of the given contents, locked so that no sweep can doom them meanwhile."""
     statement = (
         select(blob.c.id, blob.c.size_bytes, blob.c.sha256)
-        .where(tuple_(blob.c.size_bytes, blob.c.sha256).in_(hashes), _trusted_by(actor), _read_by(actor))
+        .where(
+            among(blob.c.size_bytes, {size_bytes for size_bytes, _ in hashes}),
+            among(blob.c.sha256, {sha256 for _, sha256 in hashes}),
+            _trusted_by(actor),
+            _read_by(actor),
+        )
         .order_by(blob.c.id)
         .with_for_update(read=True, of=blob)
     )
@@ -78,7 +83,7 @@ async def locked_uploads(db: Connection, actor: Actor, upload_ids: Collection[uu
     statement = (
         own_uploads(actor)
         .add_columns((upload.c.expires_at <= func.now()).label("is_expired"))
-        .where(upload.c.id.in_(upload_ids))
+        .where(among(upload.c.id, upload_ids))
         .order_by(upload.c.id)
         .with_for_update(of=upload)
     )

@@ -45,7 +45,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
@@ -79,13 +79,15 @@ async def begin_uploads(
         held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
         rows = await queries.locked_uploads(db, actor, held)
     try:
-        parts = await _open_at_store(site, [row for row in rows.values() if is_multipart(row)])
+        multipart = [row for row in rows.values() if is_multipart(row)]
+        parts = await _open_at_store(site, multipart) if multipart else {}
     except StoreUnavailable:
         await _let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
-    async with site.database.begin() as db:
-        refs = [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]
-        reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
+    reads: dict[uuid.UUID, FileRead] = {}
+    if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
+        async with site.database.begin() as db:
+            reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
     return [_answer(decision, rows, parts, reads, actor.request_id) for decision in decisions]
 
 
@@ -129,10 +131,12 @@ async def _hold_names(
 ) -> list[Decision]:
     lapsed = [decision.takes_over for decision in decisions if decision.takes_over]
     if lapsed:
-        await db.execute(update(upload).where(upload.c.id.in_(lapsed)).values(state=UploadState.aborted.value))
+        await db.execute(update(upload).where(among(upload.c.id, lapsed)).values(state=UploadState.aborted.value))
     resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
     if resumed:
-        await db.execute(update(upload).where(upload.c.id.in_(resumed)).values(**_renewed(site.settings, func.now())))
+        await db.execute(
+            update(upload).where(among(upload.c.id, resumed)).values(**_renewed(site.settings, func.now()))
+        )
     begun = [decision for decision in decisions if decision.way is Way.begin]
     if not begun:
         return decisions
@@ -295,7 +299,7 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
         rows = await queries.locked_uploads(db, actor, ids)
         for part in wanted:
             _check_signable(rows.get(part.upload_id), part)
-        await db.execute(update(upload).where(upload.c.id.in_(ids)).values(**_renewed(site.settings, func.now())))
+        await db.execute(update(upload).where(among(upload.c.id, ids)).values(**_renewed(site.settings, func.now())))
         whole = [
             {"b_id": part.upload_id, "b_checksum": part.checksum}
             for part in wanted
