@@ -84,6 +84,7 @@ def _upload_under_fire(house: House, folder: Path, victims: list[str], chance: r
         else:
             house.start_again_if_dead()
             house.kill(victim)
+    house.start_again_if_dead()  # while the client still waits for it
     out, err = upload.communicate(timeout=100)
     _say(f"  {time.monotonic() - started:5.2f} s: the client ended with {upload.returncode}")
     assert "Traceback" not in out + err

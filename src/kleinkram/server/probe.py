@@ -4,7 +4,8 @@ import base64
 import hashlib
 import logging
 import uuid
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
 
 from awscrt.checksums import crc64nvme
 from sqlalchemy import func
@@ -13,7 +14,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.db import Connection
-from kleinkram.server.storage import CHECKSUM_HEADERS, Abilities, Storage, StoreRefused
+from kleinkram.server.storage import CHECKSUM_HEADERS, Abilities, Storage, StoreMissing, StoreRefused
 from kleinkram.server.tables import store_probe
 
 _log = logging.getLogger("kleinkram.probe")
@@ -29,17 +30,15 @@ async def probe(storage: Storage) -> Abilities:
     """
     await storage.check()
     for kind in (ChecksumKind.crc64nvme, ChecksumKind.sha256, ChecksumKind.md5):
-        if await _refuses_wrong(storage, kind) and (
-            kind is not ChecksumKind.crc64nvme or await _joins_by_full_checksum(storage.proving_by(kind))
-        ):
+        if await _refuses_wrong(storage, kind) and await _proves_parts(storage.proving_by(kind)):
             return Abilities(kind, writes_once=await _writes_once(storage))
     raise StoreUnavailable(reason="it accepts bytes that differ from their checksum, so it cannot keep recordings safe")
 
 
-async def _takes(storage: Storage, key: str, headers: Mapping[str, str]) -> bool:
+async def _is_taken(asking: Awaitable[None]) -> bool:
     # Only the store's own refusal counts: one that does not answer has neither taken nor refused.
     try:
-        await storage.put_small(key, _BODY, headers)
+        await asking
     except StoreRefused:
         return False
     return True
@@ -48,8 +47,8 @@ async def _takes(storage: Storage, key: str, headers: Mapping[str, str]) -> bool
 async def _refuses_wrong(storage: Storage, kind: ChecksumKind) -> bool:
     key = f"probe/{uuid.uuid4()}"
     try:
-        right = await _takes(storage, key, _stated(kind, _BODY))
-        return right and not await _takes(storage, f"{key}-wrong", _stated(kind, _OTHER))
+        right = await _is_taken(storage.put_small(key, _BODY, _stated(kind, _BODY)))
+        return right and not await _is_taken(storage.put_small(f"{key}-wrong", _BODY, _stated(kind, _OTHER)))
     finally:
         await storage.delete(key)
         await storage.delete(f"{key}-wrong")
@@ -57,9 +56,11 @@ async def _refuses_wrong(storage: Storage, kind: ChecksumKind) -> bool:
 
 async def _writes_once(storage: Storage) -> bool:
     key = f"probe/{uuid.uuid4()}"
+    once = {"If-None-Match": "*"}
     try:
-        first = await _takes(storage, key, {"If-None-Match": "*"})
-        return first and not await _takes(storage, key, {"If-None-Match": "*"})
+        # It may be there although refused: written by an earlier try, whose answer was lost.
+        first = await _is_taken(storage.put_small(key, _BODY, once)) or await storage.find(key) is not None
+        return first and not await _is_taken(storage.put_small(key, _BODY, once))
     finally:
         await storage.delete(key)
 
@@ -74,28 +75,48 @@ def _stated(kind: ChecksumKind, body: bytes) -> dict[str, str]:
     return {CHECKSUM_HEADERS[kind]: base64.b64encode(digest).decode()}
 
 
-async def _joins_by_full_checksum(storage: Storage) -> bool:
-    key = f"probe/{uuid.uuid4()}"
+async def _proves_parts(storage: Storage) -> bool:
+    """Say whether wrong parts are refused and right ones joined: what holds for whole objects need not for parts."""
     try:
-        multipart_id = await storage.begin_multipart(key)
-    except StoreRefused:
+        return await _refuses_wrong_part(storage) and await _joins_right_part(storage)
+    except StoreRefused:  # it opens no multipart upload that is to be proven so
         return False
-    try:
-        await storage.put_small_part(key, multipart_id, _BODY)
-        if await _joins(storage, key, multipart_id, _OTHER):
+
+
+async def _refuses_wrong_part(storage: Storage) -> bool:
+    # In an upload of its own: a store may drop all of one for a wrong part.
+    async with _multipart(storage) as (key, multipart_id):
+        stated = _stated(storage.checksum, _OTHER)
+        return not await _is_taken(storage.put_small_part(key, multipart_id, _BODY, stated))
+
+
+async def _joins_right_part(storage: Storage) -> bool:
+    async with _multipart(storage) as (key, multipart_id):
+        stated = _stated(storage.checksum, _BODY)
+        if not await _is_taken(storage.put_small_part(key, multipart_id, _BODY, stated)):
+            return False
+        if storage.checksum is ChecksumKind.crc64nvme and await _joins(storage, key, multipart_id, _OTHER):
             return False
         return await _joins(storage, key, multipart_id, _BODY)
+
+
+@asynccontextmanager
+async def _multipart(storage: Storage) -> AsyncIterator[tuple[str, str]]:
+    key = f"probe/{uuid.uuid4()}"
+    multipart_id = await storage.begin_multipart(key)
+    try:
+        yield key, multipart_id
     finally:
         await storage.abort_multipart(key, multipart_id)
         await storage.delete(key)
 
 
-async def _joins(storage: Storage, key: str, multipart_id: str, stated: bytes) -> bool:
+async def _joins(storage: Storage, key: str, multipart_id: str, whole: bytes) -> bool:
+    crc = crc64nvme(whole).to_bytes(8, "big")
     try:
-        await storage.complete_multipart(key, multipart_id, crc64nvme=crc64nvme(stated).to_bytes(8, "big"))
-    except StoreRefused:
-        return False
-    return True
+        return await _is_taken(storage.complete_multipart(key, multipart_id, crc64nvme=crc))
+    except StoreMissing:  # joined by an earlier try, whose answer was lost
+        return await storage.find(key) is not None
 
 
 async def record_probe(db: Connection, store_id: str, abilities: Abilities) -> None:

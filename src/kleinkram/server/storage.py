@@ -242,14 +242,14 @@ class Storage:
         """
         await self._ask("write an object", Question("PUT", key, {}, headers or {}, body))
 
-    async def put_small_part(self, key: str, multipart_id: str, body: bytes) -> None:
-        """Write one small part of the server's own.
+    async def put_small_part(self, key: str, multipart_id: str, body: bytes, headers: Mapping[str, str]) -> None:
+        """Write one small part of the server's own, by the conditions that `headers` state.
 
         Raises:
             StoreRefused: the store would not take it.
         """
         query = {"uploadId": multipart_id, "partNumber": "1"}
-        await self._ask("write a part", Question("PUT", key, query, {}, body))
+        await self._ask("write a part", Question("PUT", key, query, headers, body))
 
     def proving_by(self, checksum: ChecksumKind) -> "Storage":
         """Return the same store, asked for another kind of proof."""

@@ -1,0 +1,71 @@
+"""The start-up probe of a store that blinks: it finds the truth or says that it could not, never something weaker."""
+
+import asyncio
+import threading
+from contextlib import ExitStack
+
+import pytest
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.server.probe import probe
+from kleinkram.server.settings import Settings
+from kleinkram.server.storage import Abilities, open_storage
+from tests.integration.middleman import Asked, Lost, Reply, Rule, standing_before
+from tests.integration.running import Api
+from tests.stack import RunningStore
+
+# More than a probe asks.
+_QUESTIONS = 24
+_TRUTH = Abilities(ChecksumKind.crc64nvme, writes_once=True)
+
+
+def _probes(api: Api, store: RunningStore, rules: list[Rule]) -> list[Abilities | BaseException]:
+    """Probe the store once for each rule, at the same time, each through a middleman of its own."""
+    settings: Settings = api.app.state.settings
+
+    async def one(url: str) -> Abilities:
+        async with open_storage(settings.model_copy(update={"s3_internal_url": url})) as storage:
+            return await probe(storage)
+
+    async def run(urls: list[str]) -> list[Abilities | BaseException]:
+        return await asyncio.gather(*map(one, urls), return_exceptions=True)
+
+    with ExitStack() as stack:
+        middlemen = [stack.enter_context(standing_before(store.endpoint)) for _ in rules]
+        for middleman, rule in zip(middlemen, rules, strict=True):
+            middleman.rule = rule
+        return asyncio.run(run([middleman.url for middleman in middlemen]))
+
+
+def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
+    """Let so many questions through, and blink at the next `count`."""
+    asked = 0
+    lock = threading.Lock()
+
+    def rule(_asked: Asked) -> "Reply | Lost | None":
+        nonlocal asked
+        with lock:
+            asked += 1
+            return blink if number < asked <= number + count else None
+
+    return rule
+
+
+def test_it_finds_the_truth_of_a_store_that_does_not_blink(api: Api, store: RunningStore) -> None:
+    assert _probes(api, store, [lambda _asked: None]) == [_TRUTH]
+
+
+@pytest.mark.parametrize("blink", [Lost(), Reply(503, "SlowDown")], ids=["an answer lost", "once too busy"])
+def test_one_blink_changes_nothing(api: Api, store: RunningStore, blink: "Reply | Lost") -> None:
+    found = _probes(api, store, [_from(number, 1, blink) for number in range(_QUESTIONS)])
+    assert found == [_TRUTH] * _QUESTIONS
+
+
+@pytest.mark.parametrize("blink", [Reply(403, "AccessDenied"), Reply(404), Reply(502)], ids=repr)
+def test_a_store_that_goes_away_is_said_to_be_away(api: Api, store: RunningStore, blink: Reply) -> None:
+    found = _probes(api, store, [_from(number, 1000, blink) for number in range(0, _QUESTIONS, 3)])
+    away = [isinstance(each, StoreUnavailable) for each in found]
+    assert away == sorted(away, reverse=True), "away from some question on"
+    assert away[0]
+    assert {each for each in found if not isinstance(each, BaseException)} <= {_TRUTH}
