@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_DAMAGE
-from kleinkram.recordings.model import Lost
+from kleinkram.recordings.limits import MAX_DAMAGE, MAX_PROBLEMS
+from kleinkram.recordings.model import Lost, Problem
 
 
 @dataclass
@@ -38,6 +38,13 @@ class Losses:
         """Remember what is wrong with the index alone."""
         if len(self.index_faults) < MAX_DAMAGE:
             self.index_faults.append(fault)
+
+    def problems(self) -> list[Problem]:
+        """Return all of it as problems; more of them than a summary lists are not made."""
+        listed = [Problem("damaged", fault.where, fault.message) for fault in self.damage[: MAX_PROBLEMS + 1]]
+        return listed + [
+            Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
+        ]
 
     def total(self, *, claimed: int | None, found: int) -> Lost | None:
         """Return what is lost; None for nothing. `claimed`: messages that the file should hold, if it says so."""

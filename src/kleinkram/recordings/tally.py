@@ -10,6 +10,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import sub
+from typing import Protocol
 
 from kleinkram.recordings.limits import MAX_TOPICS
 from kleinkram.recordings.timeline import Timeline
@@ -22,8 +23,31 @@ _NOTABLE_NS = 1_000_000_000
 _MOST = 2**63 - 1
 _WAITING = "\0channel "
 
-Batch = dict[int, "array[int]"]
-"""Messages by channel, in the order of the file, `ROW` numbers each."""
+
+class HasTopic(Protocol):
+    """A channel or connection."""
+
+    @property
+    def topic(self) -> str:
+        """Its topic."""
+
+
+class Batch(dict[int, "array[int]"]):
+    """Messages by the number of their channel, `ROW` numbers each. Channels of one topic share one array, so that its
+    messages stand there in the order of the file.
+    """
+
+    def __init__(self, channels: Mapping[int, HasTopic]) -> None:
+        super().__init__()
+        self._channels = channels
+        self.arrays: dict[str | int, array[int]] = {}
+        """By topic, or by number where the topic is not known (yet)."""
+
+    def __missing__(self, number: int) -> array[int]:
+        channel = self._channels.get(number)
+        key = number if channel is None else channel.topic
+        rows = self[number] = self.arrays.setdefault(key, array("Q"))
+        return rows
 
 
 @dataclass
@@ -68,13 +92,13 @@ class Tally:
             self.timeline.rename(_waiting(number), topic)
             self.timeline.topic(topic)
 
-    def add(self, batch: Mapping[int, array[int]], *, stored: int = 1, uncompressed: int = 1) -> int:
+    def add(self, batch: Batch, *, stored: int = 1, uncompressed: int = 1) -> int:
         """Add messages, `stored` / `uncompressed` of whose bytes are in the file; return how many."""
         count = 0
-        for number, rows in batch.items():
-            topic = self._topics.get(number)
+        for key, rows in batch.arrays.items():
+            topic = key if isinstance(key, str) else self._topics.get(key)
             if topic is None:
-                topic = _waiting(number if len(self.timeline.topics) <= MAX_TOPICS else 0)
+                topic = _waiting(int(key) if len(self.timeline.topics) <= MAX_TOPICS else 0)
             stamps = rows[0::ROW]
             share = sum(rows[2::ROW]) * stored // uncompressed if uncompressed else 0
             self.timeline.add(topic, stamps, share)

@@ -153,14 +153,16 @@ def test_a_chunk_that_holds_more_than_it_claims() -> None:
 )
 def test_rubbish_in_a_chunk(compression: bytes, stored: bytes) -> None:
     summary = summarise_bytes(mcap_of(chunk(compression, stored, 1_000)))
-    assert summary.content is Content.broken
+    assert (summary.content, summary.message_count) == (Content.broken, 0)
     assert summary.reason is not None
-    assert summary.reason.startswith("the chunk at byte 25 is damaged")
+    assert summary.reason.startswith("it is damaged at chunk at byte 25: ")
+    assert summary.lost is not None
+    assert summary.lost.chunks == 1
 
 
 def test_a_compression_that_we_do_not_read_is_not_the_files_fault() -> None:
     summary = summarise_bytes(mcap_of(chunk(b"brotli", b"x" * 50, 1_000)))
-    assert summary.content is Content.pending
+    assert summary.content is Content.opaque
     assert summary.reason is not None
     assert "'brotli'" in summary.reason
 
@@ -169,8 +171,10 @@ def test_a_zstd_frame_that_wants_too_much_memory_is_not_the_files_fault() -> Non
     parameters = zstandard.ZstdCompressionParameters(window_log=27)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
     stored = compressor.compress(b"x" * 1_000) + compressor.flush()
-    summary = summarise_bytes(mcap_of(chunk(b"zstd", stored, 1_000)))
-    assert summary.content is Content.pending
+    summary = summarise_bytes(mcap_of(chunk(b"zstd", stored, 100_000_000)))
+    assert summary.content is Content.opaque
+    assert summary.reason is not None
+    assert "bytes of memory" in summary.reason
 
 
 def test_a_wrong_chunk_checksum_keeps_the_other_chunks() -> None:
@@ -180,9 +184,9 @@ def test_a_wrong_chunk_checksum_keeps_the_other_chunks() -> None:
     footer_at = len(data) - records.FOOTER_BYTES + records.RECORD_HEAD.size
     unindexed = unindexed[:footer_at] + bytes(20) + records.MAGIC
     summary = summarise_bytes(unindexed)
-    assert summary.content is Content.broken
-    assert summary.message_count is not None
-    assert 0 < summary.message_count < 40
+    assert (summary.content, summary.message_count) == (Content.recovered, 21)
+    assert summary.lost is not None
+    assert (summary.lost.chunks, summary.lost.messages) == (1, 19)
     assert summary.reason is not None
     assert "checksum" in summary.reason
 
@@ -192,7 +196,7 @@ def test_a_chunk_whose_name_reaches_beyond_it() -> None:
     summary = summarise_bytes(mcap_of(record(records.CHUNK, head + b"zstd")))
     assert summary.content is Content.broken
     assert summary.reason is not None
-    assert "too short" in summary.reason
+    assert "contradict" in summary.reason
 
 
 def test_more_channels_than_any_robot_has() -> None:
@@ -201,7 +205,7 @@ def test_more_channels_than_any_robot_has() -> None:
         for number in range(30_000)
     )
     summary = summarise_bytes(mcap_of(channels))
-    assert summary.content is Content.pending
+    assert summary.content is Content.opaque
     assert len(summary.topics) <= 20_000
 
 
@@ -212,16 +216,23 @@ def test_names_that_are_not_utf8_can_be_shown() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [("index_pos", HUGE), ("index_pos", 20), ("index_pos", 0), ("conn_count", 2**31), ("chunk_count", 2**31)],
+    ("field", "value", "content"),
+    [
+        ("index_pos", HUGE, Content.indexed),
+        ("index_pos", 20, Content.indexed),
+        ("index_pos", 0, Content.recovered),
+        ("conn_count", 2**31, Content.recovered),
+        ("chunk_count", 2**31, Content.recovered),
+    ],
 )
-def test_a_bag_header_that_lies(field: str, value: int) -> None:
+def test_a_bag_header_that_lies(field: str, value: int, content: Content) -> None:
+    """Everything is there: only its header is wrong, or announces what never was."""
     data = small_bag()
     at = data.index(field.encode() + b"=") + len(field) + 1
     raw = struct.pack("<Q" if field == "index_pos" else "<I", value)
     summary = summarise_bytes(data[:at] + raw + data[at + len(raw) :], "test.bag")
-    assert (summary.format, summary.content) == (RecordingFormat.rosbag1, Content.broken)
-    assert summary.reason
+    assert (summary.format, summary.content, summary.message_count) == (RecordingFormat.rosbag1, content, 40)
+    assert summary.reason if content is Content.recovered else summary.problems
 
 
 @pytest.mark.parametrize("position", [0, HUGE, 2**64 - 1])
@@ -229,7 +240,8 @@ def test_a_bag_index_that_points_elsewhere(position: int) -> None:
     data = small_bag()
     at = data.rindex(b"chunk_pos=") + len("chunk_pos=")
     summary = summarise_bytes(data[:at] + struct.pack("<Q", position) + data[at + 8 :], "test.bag")
-    assert summary.content is Content.broken
+    assert (summary.content, summary.message_count) == (Content.indexed, 40)
+    assert [problem.code for problem in summary.problems] == ["index-damaged"]
 
 
 def test_a_bag_whose_index_data_contradict_its_chunk_info() -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import struct
-from array import array
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import records
@@ -169,7 +168,7 @@ def read_record(data: bytes, at: int, facts: BagFacts, batch: Batch) -> int:
 def add_message(record: Record, batch: Batch) -> None:
     """Add one message to the batch."""
     row = (record.fields.time_ns("time"), 0, record.end - record.start)
-    batch.setdefault(record.fields.u32("conn"), array("Q")).extend(row)
+    batch[record.fields.u32("conn")].extend(row)
 
 
 def define(record: Record, data: bytes, facts: BagFacts, where: str) -> None:

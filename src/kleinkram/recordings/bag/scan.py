@@ -54,7 +54,7 @@ class _Scanner:
         self.scan = BagScan()
         self._stream = Lookahead(forward)
         self._chunk: ListedChunk | None = None
-        self._chunks_claimed = 0
+        self._connections_claimed = self._chunks_claimed = 0
         self._infos = 0
         self._info_messages = 0
 
@@ -69,9 +69,21 @@ class _Scanner:
         if nameless:
             scan.losses.note(Malformed("connections", f"{nameless} messages are of connections that are not defined"))
             scan.losses.messages += nameless
-        if scan.index_start and self._infos and self._infos >= self._chunks_claimed:
-            scan.listed = self._info_messages
+        self._check_index()
         return scan
+
+    def _check_index(self) -> None:
+        """Compare what the bag's header announces with what came."""
+        scan, size = self.scan, self._stream.size_bytes
+        if not scan.index_start or scan.refused is not None:
+            return
+        if self._infos >= self._chunks_claimed:
+            scan.listed = self._info_messages if self._infos else None
+        if self._infos < self._chunks_claimed or len(scan.facts.connections) < self._connections_claimed:
+            message = "the file is cut within its index"
+            if scan.index_start >= size:
+                message = f"the file is cut: its index should begin at byte {scan.index_start}, where it has ended"
+            scan.losses.note(Malformed(f"byte {size}", message))
 
     def _step(self) -> None:
         """Pass over one record at the top level, or over damage."""
@@ -122,7 +134,7 @@ class _Scanner:
         if record.opcode == records.BAG_HEADER:
             self._note_header(record, where)
         elif record.opcode == records.MESSAGE:
-            batch: Batch = {}
+            batch = Batch(self.scan.facts.connections)
             contents.add_message(record, batch)
             self.scan.tally.add(batch)
         elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
@@ -134,6 +146,7 @@ class _Scanner:
             self.scan.refused = Malformed(where, "the bag is encrypted", certain=False)
         if self.scan.index_start is None:
             self.scan.index_start = record.fields.u64("index_pos")
+            self._connections_claimed = record.fields.u32("conn_count")
             self._chunks_claimed = record.fields.u32("chunk_count")
 
     def _note_index_record(self, record: Record, where: str) -> None:
@@ -180,7 +193,7 @@ class _Scanner:
     def _read_contents(self, raw: bytes, stored: int, start: int) -> int:
         """Add the messages of a chunk; return how many of its bytes could not be followed."""
         scan = self.scan
-        batch: Batch = {}
+        batch = Batch(scan.facts.connections)
         holes = read_contents(raw, scan.facts, batch)
         self._define()
         scan.tally.add(batch, stored=stored, uncompressed=len(raw))
@@ -206,7 +219,7 @@ class _Scanner:
             return piece
 
         inner = Lookahead(Decompressed(open_decompressed(compression, read, uncompressed), uncompressed))
-        batch: Batch = {}
+        batch = Batch(scan.facts.connections)
         flushed = 0
         try:
             while inner.left:
@@ -216,7 +229,7 @@ class _Scanner:
                 if inner.position - flushed > _FLUSH_BYTES:
                     flushed = inner.position
                     scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
-                    batch.clear()
+                    batch = Batch(scan.facts.connections)
         finally:
             self._define()
             scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
@@ -270,7 +283,7 @@ class _Scanner:
             stream.ahead(stream.left)
             stored = stream.window[stream.at + head_bytes :]
             raw = decompress_beginning(compression, stored, uncompressed)
-            batch: Batch = {}
+            batch = Batch(scan.facts.connections)
             holes = read_contents(raw, scan.facts, batch)
             self._define()
             scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))

@@ -55,27 +55,28 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
     except Malformed as error:
         if source.size_bytes > most_bytes:
             return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
-        return scan_bag(from_source(source))
+        return scan_bag(from_source(source), [Problem("index-damaged", error.where, error.message)])
     return _summary(bag.timeline, bag.connections, bag.compression, bag.problems)
 
 
-def scan_bag(forward: Forward) -> RecordingSummary:
-    """Read all of a file that begins with the magic of a ROS 1 bag 2.0.
+def scan_bag(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
+    """Read all of a file that begins with the magic of a ROS 1 bag 2.0. `problems`: why its index is not enough.
 
     Raises:
         SourceError: as `Forward.read`.
     """
     scan = scan_bag_records(forward)
     losses, messages = scan.losses, scan.tally.messages
-    problems = [Problem("damaged", fault.where, fault.message) for fault in losses.damage[:MAX_PROBLEMS]]
-    problems += [Problem("index-damaged", fault.where, fault.message) for fault in losses.index_faults[:MAX_PROBLEMS]]
     lost = losses.total(claimed=scan.listed, found=messages)
-    if scan.listed is not None and scan.listed != messages and not problems:
+    found = losses.problems()
+    if scan.listed is not None and scan.listed != messages and not found:
         message = f"the index says {scan.listed} messages, the file holds {messages}"
-        problems.append(Problem("counts-disagree", forward.name, message))
+        found.append(Problem("counts-disagree", forward.name, message))
     whole = bool(scan.index_start) and not losses.damage and scan.refused is None
+    if whole:
+        found = found or [*problems]
     reason = None if whole else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
-    summary = _summary(scan.tally.timeline, scan.facts.connections, scan.compression, problems)
+    summary = _summary(scan.tally.timeline, scan.facts.connections, scan.compression, found)
     return replace(summary, content=_content(scan, whole=whole), reason=reason, depth=Depth.scan, lost=lost)
 
 

@@ -7,7 +7,6 @@ layout is taken from the first message, and every other header is compared with 
 from __future__ import annotations
 
 import struct
-from array import array
 from collections.abc import Callable
 from operator import itemgetter
 
@@ -58,7 +57,7 @@ def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: 
         Where that stands.
     """
     unpack, size = layout.layout.unpack_from, layout.layout.size
-    constants, expected, values, known = layout.constants, layout.expected, layout.values, batch.get
+    constants, expected, values = layout.constants, layout.expected, layout.values
     last = end - size
     while at <= last:
         found = unpack(data, at)
@@ -68,9 +67,6 @@ def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: 
         after = at + size + length
         if after > end:
             break
-        rows = known(connection)
-        if rows is None:
-            rows = batch[connection] = array("Q")
-        rows.extend((seconds * 1_000_000_000 + nanoseconds, 0, after - at))
+        batch[connection].extend((seconds * 1_000_000_000 + nanoseconds, 0, after - at))
         at = after
     return at

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from array import array
 from typing import NamedTuple
 
 from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
@@ -92,7 +91,7 @@ def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally
         return piece
 
     inner = Lookahead(Decompressed(open_decompressed(head.compression, read, head.uncompressed), head.uncompressed))
-    batch: Batch = {}
+    batch = Batch(facts.channels)
     flushed = 0
     try:
         while inner.left:
@@ -102,7 +101,7 @@ def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally
             if inner.position - flushed > _FLUSH_BYTES:
                 flushed = inner.position
                 tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
-                batch.clear()
+                batch = Batch(facts.channels)
     finally:
         define(facts, tally)
         tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
@@ -163,4 +162,4 @@ def read_large_message(stream: Lookahead, batch: Batch) -> None:
     if len(head) < MESSAGE_HEAD.size or MESSAGE_HEAD.unpack(head)[1] < MESSAGE_FIXED:
         raise Malformed(f"byte {stream.position}", "a message that is too short to be one")
     _opcode, length, channel_id, _sequence, log_time, publish_time = MESSAGE_HEAD.unpack(head)
-    batch.setdefault(channel_id, array("Q")).extend((log_time, publish_time, RECORD_HEAD.size + length))
+    batch[channel_id].extend((log_time, publish_time, RECORD_HEAD.size + length))

@@ -55,7 +55,7 @@ class _Scanner:
     def __init__(self, forward: Forward) -> None:
         self.scan = Scan()
         self._stream = Lookahead(forward)
-        self._loose: Batch = {}
+        self._loose = Batch(self.scan.facts.channels)
         self._loose_bytes = 0
         self._listed: ListedChunk | None = None
         self._data_end: int | None = None
@@ -174,7 +174,7 @@ class _Scanner:
             stream.advance(end - stream.position)
             return None
         stream.ahead(total + LOOK)
-        batch: Batch = {}
+        batch = Batch(scan.facts.channels)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         chunks.define(scan.facts, scan.tally)
@@ -211,7 +211,7 @@ class _Scanner:
                 used = 0
         else:
             stream.ahead(stream.left)
-            batch: Batch = {}
+            batch = Batch(scan.facts.channels)
             stored = stream.window[stream.at + head.data_start :]
             used = chunks.read_beginning(stored, head, scan.facts, batch)
             chunks.define(scan.facts, scan.tally)
@@ -275,7 +275,7 @@ class _Scanner:
     def _flush_loose(self) -> None:
         chunks.define(self.scan.facts, self.scan.tally)
         self.scan.tally.add(self._loose)
-        self._loose, self._loose_bytes = {}, 0
+        self._loose, self._loose_bytes = Batch(self.scan.facts.channels), 0
 
     def _resync(self, damage: Malformed) -> None:
         """Pass over damage, up to the next place where a record stands."""

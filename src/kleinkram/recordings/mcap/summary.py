@@ -17,7 +17,6 @@ from kleinkram.recordings.assemble import (
 )
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
-from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
 from kleinkram.recordings.mcap.records import McapFacts
@@ -63,11 +62,7 @@ def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSu
         SourceError: as `Forward.read`.
     """
     scan = scan_records(forward)
-    found = [
-        *problems,
-        *(Problem("damaged", fault.where, fault.message) for fault in scan.losses.damage[:MAX_PROBLEMS]),
-    ]
-    found += [Problem("index-damaged", fault.where, fault.message) for fault in scan.losses.index_faults[:MAX_PROBLEMS]]
+    found = [*problems, *scan.losses.problems()]
     claimed, messages = scan.facts.statistics, scan.tally.messages
     if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"

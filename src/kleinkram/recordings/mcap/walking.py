@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from array import array
 
 from kleinkram.recordings.mcap.records import MESSAGE, RECORD_HEAD
 from kleinkram.recordings.tally import Batch
@@ -18,16 +17,13 @@ def walk_messages(data: bytes, at: int, end: int, batch: Batch) -> int:
     Returns:
         Where that stands.
     """
-    unpack, size, fixed, known = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED, batch.get
+    unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
     last = end - size
     while at <= last:
         opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
         after = at + 9 + length
         if opcode != MESSAGE or after > end or length < fixed:
             break
-        rows = known(channel_id)
-        if rows is None:
-            rows = batch[channel_id] = array("Q")
-        rows.extend((log_time, publish_time, after - at))
+        batch[channel_id].extend((log_time, publish_time, after - at))
         at = after
     return at
