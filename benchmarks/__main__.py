@@ -223,10 +223,10 @@ def memory_row() -> dict[str, object]:
     settle()
     klein("download", "-p", "bench", "-m", "memory", "--dest", str(STAGE / "memory"))
     supervisor = psutil.Process(told()["pid"])
-    by_part: dict[str, float] = {}
-    for process in [supervisor, *supervisor.children(recursive=True)]:
-        name = process.name()
-        by_part[name] = by_part.get(name, 0) + process.memory_full_info().pss / 1e6
+    by_part = {"supervisor": pss_mb(supervisor)}
+    for name, pid in told()["parts"].items():
+        part = psutil.Process(pid)
+        by_part[name] = sum(map(pss_mb, [part, *part.children(recursive=True)]))
     total = sum(by_part.values())
     return {
         "what": "memory of everything (PSS) after 1 GB up and down",
@@ -236,6 +236,11 @@ def memory_row() -> dict[str, object]:
         "parts_mb": by_part,
         "also": ", ".join(f"{name} {size:.0f}" for name, size in sorted(by_part.items(), key=lambda item: -item[1])),
     }
+
+
+def pss_mb(process: psutil.Process) -> float:
+    """Return a process's share of the memory it uses, in MB."""
+    return float(process.memory_full_info().pss / 1e6)
 
 
 def start_rows() -> list[dict[str, object]]:
