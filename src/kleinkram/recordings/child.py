@@ -1,5 +1,8 @@
 """The process that reads untrusted files: a line of JSON on stdin for each, a line on stdout, nothing else.
 
+Behind a request's line its bytes may follow. Then all of them are taken before the answer is given, so that whoever
+writes them need not know when the reader has seen enough.
+
 It bounds itself before it looks at a byte: address space, processor time, no core file. It is started with an empty
 environment, so that there is no credential in it.
 """
@@ -12,11 +15,15 @@ import resource
 import sys
 import threading
 import time
+from typing import Any
 
 from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.forward import from_pipe, from_source
+from kleinkram.recordings.limits import WINDOW
+from kleinkram.recordings.model import Depth, RecordingSummary
 from kleinkram.recordings.serialise import to_dict
 from kleinkram.recordings.sources import FileSource, Source
-from kleinkram.recordings.summary import summarise
+from kleinkram.recordings.summary import scan, summarise
 
 STACK_BYTES = 512 * 1024
 
@@ -31,13 +38,27 @@ def main() -> int:
     return 0
 
 
-def _answer(request: dict[str, str | int]) -> dict[str, object]:
+def _answer(request: dict[str, Any]) -> dict[str, object]:
     try:
-        return {"summary": to_dict(summarise(_open(request)))}
+        return {"summary": to_dict(_read(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
     except MemoryError:
         return {"failed": "memory"}
+
+
+def _read(request: dict[str, Any]) -> RecordingSummary:
+    if "stream_bytes" in request:
+        forward = from_pipe(sys.stdin.buffer, request["stream_bytes"], request["name"])
+        try:
+            return scan(forward)
+        finally:
+            while forward.read(WINDOW):
+                pass
+    source = _open(request)
+    if request["depth"] == Depth.scan.value:
+        return scan(from_source(source))
+    return summarise(source, most_bytes=request["most_bytes"])
 
 
 def _bound(memory_bytes: int, cpu_s: int) -> None:
@@ -50,12 +71,12 @@ def _bound(memory_bytes: int, cpu_s: int) -> None:
     threading.stack_size(STACK_BYTES)
 
 
-def _open(request: dict[str, str | int]) -> Source:
+def _open(request: dict[str, Any]) -> Source:
     if "path" in request:
-        return FileSource(str(request["path"]))
+        return FileSource(request["path"])
     from kleinkram.recordings.http_source import HttpSource  # urllib3 only where it is needed
 
-    return HttpSource(str(request["url"]), size_bytes=int(request["size_bytes"]), name=str(request["name"]))
+    return HttpSource(request["url"], size_bytes=request["size_bytes"], name=request["name"])
 
 
 if __name__ == "__main__":

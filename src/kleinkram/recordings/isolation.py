@@ -14,7 +14,8 @@ import sys
 from dataclasses import dataclass
 
 from kleinkram.recordings.errors import FailureKind, SummaryFailed
-from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.model import Depth, RecordingSummary
 from kleinkram.recordings.serialise import from_dict
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.child")
@@ -35,17 +36,25 @@ _SENTENCES = {
 
 @dataclass(frozen=True)
 class FileRequest:
-    """Summarise a local file."""
+    """Read a local file."""
 
     path: str
 
 
 @dataclass(frozen=True)
 class UrlRequest:
-    """Summarise the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension."""
+    """Read the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension."""
 
     url: str
     size_bytes: int
+    name: str
+
+
+@dataclass(frozen=True)
+class StreamRequest:
+    """Scan exactly `stream_bytes` bytes, which follow on stdin. `name` is the file's own."""
+
+    stream_bytes: int
     name: str
 
 
@@ -53,11 +62,23 @@ SummaryRequest = FileRequest | UrlRequest
 
 
 def request_bytes(
-    request: SummaryRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+    request: SummaryRequest,
+    *,
+    depth: Depth = Depth.summary,
+    most_bytes: int = MAX_SCAN_BYTES,
+    memory_bytes: int = DEFAULT_MEMORY_BYTES,
+    timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> bytes:
-    """Return the line that the child reads from stdin, without its newline."""
-    fields = {**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}
-    return json.dumps(fields).encode()
+    """Return the line that the child reads from stdin, without its newline. `most_bytes`: as `summarise`."""
+    wanted = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    return json.dumps({**vars(request), **wanted}).encode()
+
+
+def stream_request_bytes(
+    request: StreamRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+) -> bytes:
+    """Return the line that the child reads from stdin, without its newline, ahead of the bytes themselves."""
+    return json.dumps({**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}).encode()
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
@@ -89,9 +110,13 @@ def timed_out() -> SummaryFailed:
 
 
 def summarise_isolated(
-    request: SummaryRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+    request: SummaryRequest,
+    *,
+    depth: Depth = Depth.summary,
+    memory_bytes: int = DEFAULT_MEMORY_BYTES,
+    timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> RecordingSummary:
-    """Summarise in a child process, and wait for it.
+    """Summarise or scan in a child process, and wait for it.
 
     Raises:
         SummaryFailed: out of memory or time, crashed, or the bytes could not be read.
@@ -99,7 +124,7 @@ def summarise_isolated(
     try:
         done = subprocess.run(
             CHILD_COMMAND,
-            input=request_bytes(request, memory_bytes=memory_bytes, timeout_s=timeout_s),
+            input=request_bytes(request, depth=depth, memory_bytes=memory_bytes, timeout_s=timeout_s),
             capture_output=True,
             timeout=timeout_s,
             env=CHILD_ENVIRONMENT,

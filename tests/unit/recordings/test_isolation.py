@@ -15,17 +15,22 @@ from kleinkram.recordings import (
     CHILD_COMMAND,
     CHILD_ENVIRONMENT,
     Content,
+    Depth,
     FailureKind,
     FileRequest,
     FileSource,
+    StreamRequest,
     SummaryFailed,
     isolation,
     read_answer,
+    stream_request_bytes,
     summarise,
     summarise_isolated,
     timed_out,
 )
+from kleinkram.recordings.forward import from_file
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.summary import scan
 
 from .test_hostile import chunk, mcap_of
 
@@ -36,6 +41,34 @@ def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
     with FileSource(truth.path) as source:
         assert summarise_isolated(FileRequest(str(truth.path))) == summarise(source)
+
+
+def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
+    with from_file(truth.path) as forward:
+        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(forward)
+
+
+def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
+    """Two files through one child; of the one that is no recording, only the head is looked at, and all is taken."""
+    truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
+    data = truth.path.read_bytes()
+    lines = b"".join(
+        stream_request_bytes(StreamRequest(len(body), name)) + b"\n" + body
+        for name, body in (("notes.bin", b"\x01" * 3_000_000), ("drive.mcap", data))
+    )
+    done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
+    first, second = (read_answer(line, b"", 0) for line in done.stdout.splitlines())
+    assert first.content is Content.opaque
+    with from_file(truth.path) as forward:
+        assert second == scan(forward)
+
+
+def test_bytes_that_break_off(tmp_path: Path) -> None:
+    line = stream_request_bytes(StreamRequest(1_000, "drive.mcap")) + b"\n" + bytes(10)
+    done = subprocess.run(CHILD_COMMAND, input=line, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
+    with pytest.raises(SummaryFailed, match="before the 1000 announced"):
+        read_answer(done.stdout, done.stderr, 0)
 
 
 def test_a_file_that_is_not_there() -> None:
