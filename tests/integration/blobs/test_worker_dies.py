@@ -4,13 +4,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from kleinkram.server.settings import Settings
+from tests.integration.middleman import Asked, standing_before
 from tests.integration.running import Api
 from tests.integration.uploading import upload, wait_until
 
@@ -63,3 +67,33 @@ def test_a_job_whose_worker_died_is_done_by_the_next(api: Api) -> None:
         wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "proven", limit_s=60)
         stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'sweep' AND status = 'doing'"
         wait_until(lambda: api.sql(stuck) == [(0,)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ros1/turtlesim_lz4.bag", "mcap/kleinkram_imu_ros1profile_zstd.mcap"])
+def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, recordings_dir: Path, name: str) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    file = upload(api, mission_id, Path(name).name, (recordings_dir / name).read_bytes())
+    settings: Settings = api.app.state.settings
+    reading, may_go_on = threading.Event(), threading.Event()
+
+    def hold_second_range(asked: Asked) -> None:
+        if "range" in asked.headers and not asked.headers["range"].startswith("bytes=0-"):
+            reading.set()
+            may_go_on.wait(60)
+
+    with standing_before(settings.s3_internal_url) as middleman:
+        middleman.rule = hold_second_range
+        with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url) as worker:
+            assert reading.wait(30), "nobody began to read"
+            readers = psutil.Process(worker.pid).children()
+            assert readers, "recordings are read in a child"
+            worker.kill()
+            worker.wait(10)
+            may_go_on.set()
+        assert psutil.wait_procs(readers, timeout=10)[1] == [], "a reader outlived its worker"
+    assert api.get(f"/files/{file['id']}").ok()["content"] == "pending"
+    api.sql("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 hour'")
+    with _worker(settings):
+        wait_until(lambda: api.get(f"/files/{file['id']}").ok()["content"] == "indexed", limit_s=60)
+    assert api.get(f"/files/{file['id']}").ok()["message_count"] > 0

@@ -52,16 +52,21 @@ def test_reasons_are_short_and_hold_no_address() -> None:
 
 
 @pytest.mark.parametrize(
-    ("status", "answer"),
+    ("status", "code", "answer"),
     [
-        (403, Answer.sign_again),
-        (404, Answer.gone),
-        (400, Answer.refused),
-        (408, Answer.try_again),
-        (429, Answer.try_again),
-        (500, Answer.try_again),
-        (503, Answer.try_again),
+        (403, "AccessDenied", Answer.sign_again),
+        (404, "NoSuchUpload", Answer.gone),
+        (404, "NoSuchKey", Answer.gone),
+        (404, "NoSuchBucket", Answer.try_again),
+        (404, "", Answer.try_again),
+        (410, "", Answer.try_again),
+        (400, "BadDigest", Answer.refused),
+        (400, "RequestTimeout", Answer.try_again),
+        (408, "", Answer.try_again),
+        (429, "", Answer.try_again),
+        (500, "InternalError", Answer.try_again),
+        (503, "SlowDown", Answer.try_again),
     ],
 )
-def test_what_a_store_means(status: int, answer: Answer) -> None:
-    assert meaning(status) is answer
+def test_what_a_store_means(status: int, code: str, answer: Answer) -> None:
+    assert meaning(status, code) is answer

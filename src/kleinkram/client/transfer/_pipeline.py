@@ -277,8 +277,9 @@ class Pipeline:
         self._stop.check()
         if not sending.end():
             return
-        if isinstance(error, FileChanged):
-            with contextlib.suppress(KleinkramError):  # it expires by itself where this cannot be said
+        if isinstance(error, FileChanged | UploadGone):
+            # Its name is free at once; it expires by itself where this cannot be said.
+            with contextlib.suppress(KleinkramError):
                 self._uploads.abort(sending.upload.id)
         if not isinstance(error, TransferFailed | UploadIncomplete | FileUnreadable):
             sending.journal.forget()

@@ -15,6 +15,7 @@ CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 120.0
 PATIENCE_S = 240.0
 
+_GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
 _CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
 
 
@@ -59,7 +60,8 @@ class StoreDoor:
         # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
         if answer.status < 300 or answer.status == 412:
             return PutAnswer(Answer.taken, etag=answer.headers.get("ETag", "").strip('"'))
-        return PutAnswer(meaning(answer.status), reason=_reason(answer.status, answer.data))
+        code = _code(answer.data)
+        return PutAnswer(meaning(answer.status, code), reason=_reason(answer.status, code))
 
     def get(self, url: str, first: int, last: int, slice_bytes: int) -> "GetAnswer":
         """GET the bytes first..last, both inclusive; the answer must be closed."""
@@ -73,9 +75,10 @@ class StoreDoor:
         whole = answer.status == 200 and first == 0
         if answer.status == 206 or whole:
             return GetAnswer(Answer.taken, answer, slice_bytes)
-        reason = _reason(answer.status, answer.read(2000))
+        code = _code(answer.read(2000))
         answer.close()
-        return GetAnswer(meaning(answer.status), None, slice_bytes, reason=reason)
+        reason = _reason(answer.status, code)
+        return GetAnswer(meaning(answer.status, code), None, slice_bytes, reason=reason)
 
 
 class GetAnswer:
@@ -112,17 +115,22 @@ class GetAnswer:
             self._response.close()
 
 
-def meaning(status: int) -> Answer:
-    """Return what a status other than success means."""
+def meaning(status: int, code: str) -> Answer:
+    """Return what a status other than success means, with the store's code for it ("" where it gave none)."""
+    if code in _GONE:
+        return Answer.gone
     if status == 403:
         return Answer.sign_again
-    if status in {404, 410}:
-        return Answer.gone
-    if status in {408, 429} or status >= 500:
+    # 404 without the store's own word is that of a proxy which does not reach the store.
+    if status in {404, 408, 410, 429} or status >= 500 or code == "RequestTimeout":
         return Answer.try_again
     return Answer.refused
 
 
-def _reason(status: int, body: bytes) -> str:
-    code = _CODE.search(body)
-    return f"the store answered {status} {code.group(1).decode() if code else ''}".rstrip()
+def _code(body: bytes) -> str:
+    found = _CODE.search(body)
+    return found.group(1).decode() if found else ""
+
+
+def _reason(status: int, code: str) -> str:
+    return f"the store answered {status} {code}".rstrip()

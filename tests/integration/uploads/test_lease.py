@@ -1,0 +1,92 @@
+"""A name that a dead client holds: whoever wants it waits until the lease ends, and no longer."""
+
+import os
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client import Client, connect
+from kleinkram.client.transfer import Outcome, TransferResult, plan_upload, upload
+from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.contract.errors import NameLeased
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, parts_of, send, sign, wait_until
+
+_PART = 8 * 1024 * 1024
+_LEASE_S = 4.0
+
+
+class _Listening(Unwatched):
+    """Keeps what a person would read meanwhile."""
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def said(self, text: str) -> None:
+        """Keep it."""
+        self.heard.append(text)
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: StartApi) -> Api:
+    return start_api(upload_lease_s=_LEASE_S)
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+@pytest.fixture(name="client")
+def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
+    """Somebody without a journal of what is under way."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with connect(api.url, api.token) as client:
+        yield client
+
+
+@pytest.fixture(name="file")
+def _file(tmp_path: Path) -> Path:
+    file = tmp_path / "run.bin"
+    file.write_bytes(os.urandom(_PART + 1000))
+    os.utime(file, (1_700_000_000, 1_700_000_000))
+    return file
+
+
+def _send(client: Client, mission_id: str, file: Path, watcher: _Listening) -> TransferResult:
+    return upload(client, uuid.UUID(mission_id), plan_upload([file]), watcher=watcher).results[0]
+
+
+def test_the_second_client_takes_over_when_the_lease_ends(
+    api: Api, client: Client, mission_id: str, file: Path
+) -> None:
+    body = file.read_bytes()
+    dead = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
+    send(api, dead, body, only=[1])
+    watcher = _Listening()
+    result = _send(client, mission_id, file, watcher)
+    assert (result.outcome, result.error) == (Outcome.uploaded, None)
+    assert watcher.heard == ["waiting for run.bin: held by an upload that may have died"]
+    assert result.moved_bytes == len(body), "without a journal nothing of the dead client's is taken on trust"
+    lease_ended = api.sql("SELECT lease_ends_at FROM upload WHERE id = %s", dead["id"])[0][0]
+    taken_over = api.sql("SELECT created_at FROM upload WHERE mission_id = %s AND id <> %s", mission_id, dead["id"])
+    assert [created > lease_ended for (created,) in taken_over] == [True]
+    sign(api, dead, parts_of(dead, body)[1:]).refused(410, "upload_gone")
+    assert complete(api, dead, body)["problem"]["code"] == "upload_gone"
+
+
+def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
+    theirs = os.urandom(_PART + 2000)
+    alive = begin(api, mission_id, {"run.bin": theirs}, hashed=False)[0]["upload"]
+    watcher = _Listening()
+    with ThreadPoolExecutor(1) as pool:
+        sending = pool.submit(_send, client, mission_id, file, watcher)
+        wait_until(lambda: bool(watcher.heard))
+        send(api, alive, theirs)  # asking where to send renews the lease
+        result = sending.result(30)
+    assert (result.outcome, type(result.error)) == (Outcome.refused, NameLeased)
+    assert complete(api, alive, theirs)["outcome"] == "completed"

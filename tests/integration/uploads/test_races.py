@@ -1,0 +1,104 @@
+"""Linking and completing that meet: whoever comes second sees what the first has done, in either order."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+import pytest
+
+from tests.integration.races import racing
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, fetch, send, upload
+
+_HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+@pytest.fixture(name="twin")
+def _twin(api: Api) -> bytes:
+    """What is in a file of another mission already, so that it is linked and not sent."""
+    body = os.urandom(1000)
+    upload(api, api.mission(api.project()["id"])["id"], "twin.bin", body)
+    return body
+
+
+def _read(api: Api, mission_id: str) -> list[tuple[str, bytes]]:
+    files = api.all("/files", {"mission_id": mission_id})
+    links = [api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0] for file in files]
+    return [(file["path"], fetch(link["url"])[1]) for file, link in zip(files, links, strict=True)]
+
+
+def _race(api: Api, mission_id: str, works: "list[Callable[[], Any]]") -> list[Any]:
+    """Do these at once, in the order given as far as they wait for the same mission; return what they return."""
+    with racing(api, _HOLD, mission_id) as send_one:
+        futures: list[Future[Any]] = [send_one(work) for work in works]
+    return [future.result(30) for future in futures]
+
+
+@pytest.mark.parametrize("link_first", [True, False])
+def test_a_link_never_takes_the_place_of_what_was_completed(
+    api: Api, mission_id: str, twin: bytes, link_first: bool
+) -> None:
+    body = os.urandom(1000)
+    started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, started, body)
+    api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 s' WHERE id = %s", started["id"])
+
+    def link() -> Any:
+        return begin(api, mission_id, {"run.bin": twin})[0]
+
+    def finish() -> Any:
+        return complete(api, started, body)
+
+    # The mark of completing is set before the mission is waited for: from then on the name is held whatever the lease.
+    works = [link, finish] if link_first else [finish, link]
+    answers = dict(zip(works, _race(api, mission_id, works), strict=True))
+    assert answers[finish]["outcome"] == "completed"
+    assert answers[link]["decision"] == "refused"
+    assert answers[link]["problem"]["code"] in {"name_leased", "file_exists"}
+    assert _read(api, mission_id) == [("run.bin", body)]
+
+
+def test_of_a_link_and_a_begin_for_one_name_the_first_has_it(api: Api, mission_id: str, twin: bytes) -> None:
+    body = os.urandom(1000)
+
+    def link() -> Any:
+        return begin(api, mission_id, {"run.bin": twin})[0]
+
+    def announce() -> Any:
+        return begin(api, mission_id, {"run.bin": body})[0]
+
+    linked, announced = _race(api, mission_id, [link, announce])
+    assert (linked["decision"], announced["decision"]) == ("linked", "refused")
+    assert announced["problem"]["code"] == "file_exists"
+    assert _read(api, mission_id) == [("run.bin", twin)]
+
+
+@pytest.mark.parametrize("link_first", [True, False])
+def test_a_lost_file_is_mended_once_by_whoever_comes_first(
+    api: Api, mission_id: str, twin: bytes, link_first: bool
+) -> None:
+    linked = begin(api, mission_id, {"run.bin": twin})[0]["file"]
+    api.sql("UPDATE blob SET state = 'lost' WHERE id = (SELECT blob_id FROM file WHERE id = %s)", linked["id"])
+    started = begin(api, mission_id, {"run.bin": twin})[0]["upload"]
+    send(api, started, twin)
+    other = api.mission(api.project()["id"])["id"]
+    upload(api, other, "good.bin", twin)
+
+    def link() -> Any:
+        return begin(api, mission_id, {"run.bin": twin})[0]
+
+    def finish() -> Any:
+        return complete(api, started, twin)
+
+    works = [link, finish] if link_first else [finish, link]
+    answers = dict(zip(works, _race(api, mission_id, works), strict=True))
+    assert answers[finish]["outcome"] == "completed"
+    assert answers[link]["decision"] in {"present", "refused"}
+    assert _read(api, mission_id) == [("run.bin", twin)]
+    assert [file["id"] for file in api.all("/files", {"mission_id": mission_id})] == [linked["id"]]

@@ -1,0 +1,137 @@
+"""What each answer of the store means. An upload is gone only when the store itself says that it does not know it."""
+
+import os
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client import Client, connect
+from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download, plan_upload, upload
+from kleinkram.contract.errors import UploadGone
+from tests.integration.conftest import StartApi
+from tests.integration.middleman import Asked, Lost, Middleman, Reply, standing_before
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, crc64, send, sha256
+from tests.integration.uploading import upload as upload_whole
+from tests.stack import RunningStore
+
+_PART = 8 * 1024 * 1024
+_PASSING: "list[Reply | Lost]" = [
+    Reply(400, "RequestTimeout"),
+    Reply(403, "AccessDenied"),
+    Reply(404),
+    Reply(404, "NoSuchBucket"),
+    Reply(410),
+    Reply(429, "TooManyRequests"),
+    Reply(500, "InternalError"),
+    Reply(503, "SlowDown"),
+    Lost(),
+]
+
+
+@pytest.fixture(name="middleman", scope="module")
+def _middleman(store: RunningStore) -> Iterator[Middleman]:
+    with standing_before(store.endpoint) as middleman:
+        yield middleman
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: StartApi, middleman: Middleman) -> Api:
+    return start_api(s3_internal_url=middleman.url)
+
+
+@pytest.fixture(autouse=True)
+def _honest_again(middleman: Middleman) -> Iterator[None]:
+    yield
+    middleman.rule = lambda _asked: None
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+@pytest.fixture(name="client")
+def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with connect(api.url, api.token) as client:
+        yield client
+
+
+def _once(wanted: Callable[[Asked], bool], answers: "list[Reply | Lost]") -> "Callable[[Asked], Reply | Lost | None]":
+    """Give each answer once to what is wanted, then let everything through."""
+    left = [*answers]
+    return lambda asked: left.pop(0) if left and wanted(asked) else None
+
+
+def _is_multipart(asked: Asked) -> bool:
+    return "uploadId" in asked.query
+
+
+@pytest.mark.parametrize("said", [each for each in _PASSING if isinstance(each, Reply)], ids=repr)
+def test_a_store_that_cannot_now_does_not_end_an_upload(
+    api: Api, middleman: Middleman, mission_id: str, said: Reply
+) -> None:
+    body = os.urandom(_PART + 100)
+    started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, started, body)
+    middleman.rule = lambda asked: said if _is_multipart(asked) else None
+    finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+    api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
+    middleman.rule = lambda _asked: None
+    assert complete(api, started, body)["outcome"] == "completed"
+
+
+def test_an_upload_that_the_store_does_not_know_is_gone(api: Api, middleman: Middleman, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, started, body)
+    middleman.rule = lambda asked: Reply(404, "NoSuchUpload") if _is_multipart(asked) else None
+    assert complete(api, started, body)["problem"]["code"] == "upload_gone"
+
+
+def _sent(client: Client, mission_id: str, file: Path) -> TransferResult:
+    report = upload(client, uuid.UUID(mission_id), plan_upload([file]), connections=1)
+    return report.results[0]
+
+
+@pytest.mark.parametrize("size_bytes", [1000, _PART + 1000])
+def test_a_client_goes_on_sending_until_the_store_can(
+    middleman: Middleman, client: Client, mission_id: str, tmp_path: Path, size_bytes: int
+) -> None:
+    file = tmp_path / "run.bin"
+    file.write_bytes(os.urandom(size_bytes))
+    os.utime(file, (1_700_000_000, 1_700_000_000))
+    for said in _PASSING:
+        middleman.rule = _once(lambda asked: asked.method == "PUT", [said])
+        result = _sent(client, mission_id, file)
+        assert result.outcome is Outcome.uploaded, (said, result)
+        assert result.file_id is not None
+        client.files.delete(result.file_id)
+
+
+def test_a_client_is_told_of_an_upload_that_is_gone(
+    api: Api, middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "run.bin"
+    file.write_bytes(os.urandom(2 * _PART))
+    os.utime(file, (1_700_000_000, 1_700_000_000))
+    middleman.rule = _once(lambda asked: asked.method == "PUT", [Reply(404, "NoSuchUpload")])
+    result = _sent(client, mission_id, file)
+    assert (result.outcome, type(result.error)) == (Outcome.refused, UploadGone)
+    assert _sent(client, mission_id, file).outcome is Outcome.uploaded, "the same again begins anew"
+    assert api.all(f"/missions/{mission_id}/uploads") == []
+
+
+def test_a_client_goes_on_fetching_until_the_store_can(
+    api: Api, middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
+) -> None:
+    body = os.urandom(_PART + 100)
+    file = upload_whole(api, mission_id, "run.bin", body)
+    plan = plan_download([client.files.get(uuid.UUID(file["id"]))], tmp_path / "back")
+    middleman.rule = _once(lambda asked: asked.method == "GET", [Reply(404), Reply(400, "RequestTimeout"), Lost()])
+    (result,) = download(client, plan, connections=1).results
+    assert result.outcome is Outcome.downloaded, result.error
+    assert (tmp_path / "back" / "run.bin").read_bytes() == body
