@@ -71,6 +71,18 @@ def test_bytes_that_break_off(tmp_path: Path) -> None:
         read_answer(done.stdout, done.stderr, 0)
 
 
+def test_a_summary_that_would_cost_too_much_says_what(tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(truth.path.read_bytes()[:-100])
+    with FileSource(cut) as source:
+        summary = summarise(source, most_bytes=1000)
+    assert summary.content is Content.pending
+    assert summary.reason is not None
+    assert str(cut.stat().st_size) in summary.reason
+    assert summary.bytes_read < 100_000
+
+
 def test_a_file_that_is_not_there() -> None:
     with pytest.raises(SummaryFailed) as caught:
         summarise_isolated(FileRequest("/nowhere/drive.mcap"))
