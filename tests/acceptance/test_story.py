@@ -81,7 +81,7 @@ def test_inspect_and_sample_need_no_server(terminal: Terminal, tmp_path: Path) -
         topic["name"]: topic["count"] for topic in truth["topics"]
     }
     assert "/imu" in alone.run("inspect", tmp_path / "s").out
-    alone.run("inspect", tmp_path / "nothing-here", code=8)
+    alone.run("inspect", tmp_path / "nothing-here", code=2)
     assert "klein up" in alone.run("project", "list", code=2).err
 
 

@@ -4,55 +4,37 @@ from typing import Annotated
 
 import typer
 
+from kleinkram.cli.inspect_progress import watching
+from kleinkram.cli.inspect_view import show
 from kleinkram.cli.options import AsJson
-from kleinkram.cli.render import details, line, show_json, table
-from kleinkram.cli.units import duration, instant, rate, span
-from kleinkram.recordings.inspect import Inspection, inspect_paths, to_plain
+from kleinkram.cli.render import line, note, show_json
+from kleinkram.client.errors import InvalidInput
+from kleinkram.recordings.inspect import inspect_paths, to_plain
+from kleinkram.recordings.model import Depth
 
 
 def inspect(
     paths: Annotated[list[str], typer.Argument(metavar="PATH", help="Files and folders.", show_default=False)],
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read every byte: check all checksums, save what can be saved.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say what is in local recordings: topics, types, counts, times, rates and gaps. Needs no server."""
-    found = inspect_paths(paths)
+    """Say what is in local recordings: topics, types, counts, times, rates and gaps. Needs no server.
+
+    A broken file is an answer too: exit code 0. Exit code 2 if a path does not exist.
+    """
+    try:
+        with watching(deep) as watch:
+            found = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, watch=watch)
+    except FileNotFoundError as error:
+        raise InvalidInput(what=f"The path {error.filename}", reason="there is no such file or folder") from error
     if as_json:
         show_json({"items": [to_plain(one) for one in found]})
         return
+    if not found:
+        note("There are no recordings in it.")
     for number, one in enumerate(found):
         if number:
             line("")
-        _show(one)
-
-
-def _show(one: Inspection) -> None:
-    summary = one.summary
-    details(
-        [
-            (one.kind.value, one.path),
-            ("files", [*one.members] if len(one.members) > 1 else None),
-            ("format", summary.format.value),
-            ("content", summary.content.value + (f": {summary.reason}" if summary.reason else "")),
-            ("compression", [*summary.compression]),
-            ("messages", summary.message_count),
-            ("start", instant(summary.start_ns)),
-            ("span", span(summary.start_ns, summary.end_ns)),
-            *((f"problem at {problem.where}", problem.message) for problem in summary.problems),
-        ]
-    )
-    if summary.topics:
-        table(
-            ["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"],
-            [
-                (
-                    topic.name,
-                    topic.message_type,
-                    topic.count,
-                    rate(topic.rate_hz),
-                    duration(topic.longest_gap_ns),
-                    duration(topic.head_gap_ns),
-                    duration(topic.tail_gap_ns),
-                )
-                for topic in summary.topics
-            ],
-        )
+        show(one)

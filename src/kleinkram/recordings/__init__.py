@@ -21,9 +21,11 @@ if TYPE_CHECKING:
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
         FileRequest,
+        StreamRequest,
         UrlRequest,
         read_answer,
         request_bytes,
+        stream_request_bytes,
         summarise_isolated,
         timed_out,
     )
@@ -37,7 +39,8 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
-    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, compare_members, parse_rosbag2_metadata
+    from kleinkram.recordings.rosbag2.comparing import MemberFacts, TopicFacts, compare_metadata
+    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, parse_rosbag2_metadata
     from kleinkram.recordings.serialise import from_dict, to_dict
     from kleinkram.recordings.sniffing import sniff
     from kleinkram.recordings.sources import CountingSource, FileSource, Source
@@ -55,6 +58,7 @@ __all__ = [
     "FileSource",
     "GroupKind",
     "Lost",
+    "MemberFacts",
     "Problem",
     "RecordingError",
     "RecordingFormat",
@@ -63,11 +67,13 @@ __all__ = [
     "Rosbag2Metadata",
     "Source",
     "SourceError",
+    "StreamRequest",
     "SummaryFailed",
+    "TopicFacts",
     "TopicSummary",
     "UrlRequest",
     "combine",
-    "compare_members",
+    "compare_metadata",
     "from_dict",
     "group",
     "is_recording_name",
@@ -75,6 +81,7 @@ __all__ = [
     "read_answer",
     "request_bytes",
     "sniff",
+    "stream_request_bytes",
     "summarise",
     "summarise_isolated",
     "timed_out",
@@ -89,14 +96,17 @@ _HOMES = {
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",
         "FileRequest",
+        "StreamRequest",
         "UrlRequest",
         "read_answer",
         "request_bytes",
+        "stream_request_bytes",
         "summarise_isolated",
         "timed_out",
     ),
     "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "rosbag2.metadata": ("Rosbag2Metadata", "compare_members", "parse_rosbag2_metadata"),
+    "rosbag2.comparing": ("MemberFacts", "TopicFacts", "compare_metadata"),
+    "rosbag2.metadata": ("Rosbag2Metadata", "parse_rosbag2_metadata"),
     "serialise": ("from_dict", "to_dict"),
     "sniffing": ("sniff",),
     "sources": ("CountingSource", "FileSource", "Source"),

@@ -7,25 +7,30 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from kleinkram.recordings.assemble import bounded, rate_hz
-from kleinkram.recordings.model import Content, RecordingSummary, TopicSummary
+from kleinkram.recordings.model import Content, Depth, Lost, Problem, RecordingSummary, TopicSummary
 from kleinkram.recordings.timeline import Run, bulk, join, within
 
 _WORST_FIRST = (
     Content.error,
-    Content.broken,
     Content.pending,
+    Content.broken,
     Content.opaque,
     Content.recovered,
     Content.indexed,
 )
+_READABLE = (Content.indexed, Content.recovered)
+_MOST_FACTS = 100
 
 
-def combine(summaries: Sequence[RecordingSummary]) -> RecordingSummary:
+def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
     """Merge the summaries of the members of one recording, given in the order of recording.
 
     Counts are added; a count that one member does not know is not known of the whole. Silences between members count
-    as gaps. Where members overlap in time, the longest gap of a topic is an upper bound. `content` is the worst of
-    the members'; `format` the first's; `reason` that of the worst.
+    as gaps. Where members overlap in time, the longest gap of a topic is an upper bound.
+
+    `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
+    else that of the members. `reason` is that of the worst, after its name, if there are `names`. `format` is that of
+    the first member that can be read.
 
     Raises:
         ValueError: there is no summary.
@@ -34,24 +39,75 @@ def combine(summaries: Sequence[RecordingSummary]) -> RecordingSummary:
         raise ValueError("a recording has at least one member")
     if len(summaries) == 1:
         return summaries[0]
-    worst = min(summaries, key=lambda summary: _WORST_FIRST.index(summary.content))
     island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
+    first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
     return RecordingSummary(
-        format=summaries[0].format,
-        content=worst.content,
-        reason=worst.reason,
-        message_count=_total(summary.message_count for summary in summaries),
+        format=first.format,
+        content=_content({summary.content for summary in summaries}),
+        reason=_reason(summaries, names),
+        message_count=_total(_readable_count(summary) for summary in summaries),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
         compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
         topics=_combine_topics(summaries, island),
-        problems=bounded([problem for summary in summaries for problem in summary.problems]),
-        library=summaries[0].library,
-        profile=summaries[0].profile,
+        problems=bounded([*(problem for one in summaries for problem in one.problems), *_changed_types(summaries)]),
+        library=first.library,
+        profile=first.profile,
         attachments=sum(summary.attachments for summary in summaries),
         metadata_records=sum(summary.metadata_records for summary in summaries),
         bytes_read=sum(summary.bytes_read for summary in summaries),
+        depth=Depth.scan if all(summary.depth is Depth.scan for summary in summaries) else Depth.summary,
+        lost=_lost(summaries),
+        facts=tuple(dict.fromkeys(fact for summary in summaries for fact in summary.facts))[:_MOST_FACTS],
     )
+
+
+def _readable_count(summary: RecordingSummary) -> int | None:
+    """Return the messages of a member; none where nothing of it can be read."""
+    unreadable = summary.content in (Content.broken, Content.opaque)
+    return summary.message_count or 0 if unreadable else summary.message_count
+
+
+def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
+    """Name the topics whose type is not the same in all members."""
+    types: dict[str, dict[str, None]] = defaultdict(dict)
+    for summary in summaries:
+        for topic in summary.topics:
+            types[topic.name][topic.message_type] = None
+    return [
+        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(found)}")
+        for name, found in sorted(types.items())
+        if len(found) > 1
+    ]
+
+
+def _content(contents: set[Content]) -> Content:
+    for unsettled in (Content.error, Content.pending):
+        if unsettled in contents:
+            return unsettled
+    if len(contents) == 1:
+        return next(iter(contents))
+    return Content.recovered if contents & set(_READABLE) else Content.broken
+
+
+def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str | None:
+    """Return why the whole is not whole: the worst member's reason, and how many others have one."""
+    told = [number for number, summary in enumerate(summaries) if summary.reason]
+    if not told:
+        return None
+    worst = min(told, key=lambda number: _WORST_FIRST.index(summaries[number].content))
+    name = f"{names[worst]}: " if names else ""
+    others = f" (and {len(told) - 1} more files are not whole)" if len(told) > 1 else ""
+    return f"{name}{summaries[worst].reason}{others}"
+
+
+def _lost(summaries: Sequence[RecordingSummary]) -> Lost | None:
+    losses = [summary.lost for summary in summaries if summary.lost is not None]
+    if not losses:
+        return None
+    untold = any(summary.lost is None and summary.content in (Content.broken, Content.opaque) for summary in summaries)
+    messages = None if untold else _total(lost.messages for lost in losses)
+    return Lost(sum(lost.bytes for lost in losses), sum(lost.chunks for lost in losses), messages)
 
 
 def _total(counts: Iterable[int | None]) -> int | None:
@@ -93,7 +149,7 @@ def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummar
         tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
-        suspect_count=(count or 0) - (run.count if run else 0),
+        suspect_count=0 if count is None else count - (run.count if run else 0),
     )
 
 

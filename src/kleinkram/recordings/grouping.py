@@ -1,10 +1,12 @@
-"""Which files make one recording, by their names only.
+"""Which files make one recording, by their names, and by what a metadata.yaml says where that is known.
 
 * rosbag2: a folder with metadata.yaml and data files (.mcap, .db3, also .zstd) of one stem, such as `run_0.mcap`,
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
   recordings); for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
   `prefix_2024-05-01-10-05-00_1.bag` ..., where a smaller number begins the next recording.
+  Where it is known what metadata.yaml says, the files that it names come first and in its order; files of the same
+  stem that it does not name follow them; a folder of which no file is there is a recording without members.
 * single: every other recording file.
 """
 
@@ -12,13 +14,15 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import PurePosixPath
 
+from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata
+
 METADATA_NAME = "metadata.yaml"
-_RECORDING = re.compile(r".*\.(bag|(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
+_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2)(\.zstd?)?", re.IGNORECASE | re.DOTALL)
 _ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
 _BAG = re.compile(
     r"(?P<prefix>.*)(?P<time>\d{4}-\d\d-\d\d-\d\d-\d\d-\d\d)_(?P<number>\d+)\.bag", re.IGNORECASE | re.DOTALL
@@ -55,8 +59,11 @@ def is_recording_name(path: str) -> bool:
     return _RECORDING.fullmatch(path) is not None
 
 
-def group(paths: Iterable[str]) -> list[RecordingGroup]:
-    """Group relative POSIX paths into recordings, sorted by name. Paths that are none belong to no group."""
+def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = None) -> list[RecordingGroup]:
+    """Group relative POSIX paths into recordings, sorted by name. Paths that are none belong to no group.
+
+    `stated`: what the metadata.yaml of each path among `paths` says, where it could be read.
+    """
     folders: dict[str, list[str]] = defaultdict(list)
     metadata: dict[str, str] = {}
     for path in sorted(set(paths)):
@@ -65,29 +72,40 @@ def group(paths: Iterable[str]) -> list[RecordingGroup]:
             folders[folder].append(path)
         elif name == METADATA_NAME:
             metadata[folder] = path
-    groups = [found for folder, names in folders.items() for found in _group_folder(folder, names, metadata)]
+    groups: list[RecordingGroup] = []
+    for folder in folders.keys() | metadata.keys():
+        said = (stated or {}).get(metadata.get(folder, ""))
+        groups += _group_folder(folder, folders[folder], metadata.get(folder), said)
     return sorted(groups, key=lambda found: (found.name, found.kind.value))
 
 
-def _group_folder(folder: str, paths: list[str], metadata: dict[str, str]) -> list[RecordingGroup]:
-    sets: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
-    bags: list[str] = []
+def _group_folder(
+    folder: str, paths: list[str], metadata_path: str | None, said: Rosbag2Metadata | None
+) -> list[RecordingGroup]:
+    if metadata_path is None:
+        return _group_by_name(paths)
+    own = _members(folder, paths, said)
+    if not own and (said is None or not said.files):
+        return _group_by_name(paths)
+    found = RecordingGroup(folder or ".", GroupKind.rosbag2, tuple(own), metadata_path)
+    return [found, *_group_by_name([path for path in paths if path not in set(own)])]
+
+
+def _members(folder: str, paths: list[str], said: Rosbag2Metadata | None) -> list[str]:
+    """Return the files that the metadata.yaml of a folder is about."""
+    by_stem: dict[str, list[tuple[int, str]]] = defaultdict(list)
     for path in paths:
         match = _ROSBAG2.fullmatch(path)
-        if match is None:
-            bags.append(path)
-        else:
-            sets[match["stem"], match["suffix"]].append((int(match["number"] or 0), path))
-    groups = _group_bags(bags)
-    own = _stem_of_folder(folder, {stem for stem, _ in sets}) if folder in metadata else None
-    if own is not None:
-        members = sorted(member for (stem, _), found in sets.items() if stem == own for member in found)
-        names = tuple(path for _, path in members)
-        groups.append(RecordingGroup(folder or ".", GroupKind.rosbag2, names, metadata[folder]))
-    for (stem, suffix), found in sets.items():
-        if stem != own:
-            groups += _group_split(f"{stem}{suffix}", sorted(found))
-    return groups
+        if match is not None:
+            by_stem[match["stem"]].append((int(match["number"] or 0), path))
+    named = {PurePosixPath(path).name: number for number, path in enumerate(said.files)} if said else {}
+    here = sorted((named[name], path) for path in paths if (name := PurePosixPath(path).name) in named)
+    stem = _stem_of_folder(folder, set(by_stem))
+    if not here:
+        return [path for _, path in sorted(by_stem[stem])] if stem is not None else []
+    stems = {match["stem"] for _, path in here if (match := _ROSBAG2.fullmatch(path))}
+    surplus = sorted(member for stem in stems for member in by_stem[stem] if member[1] not in {p for _, p in here})
+    return [path for _, path in (*here, *surplus)]
 
 
 def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
@@ -98,7 +116,21 @@ def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
     return named_alike if named_alike in stems else None
 
 
+def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
+    sets: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
+    bags: list[str] = []
+    for path in paths:
+        match = _ROSBAG2.fullmatch(path)
+        if match is None:
+            bags.append(path)
+        else:
+            sets[match["stem"], match["suffix"]].append((int(match["number"] or 0), path))
+    splits = [found for (stem, suffix), members in sets.items() for found in _group_split(stem + suffix, members)]
+    return [*_group_bags(bags), *splits]
+
+
 def _group_split(name: str, members: list[tuple[int, str]]) -> list[RecordingGroup]:
+    members = sorted(members)
     if len(members) > 1 and members[0][0] == 0:
         return [RecordingGroup(name, GroupKind.split_set, tuple(path for _, path in members))]
     return [_single(path) for _, path in members]

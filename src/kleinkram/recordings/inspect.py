@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Protocol
 
 from kleinkram.recordings.combining import combine
-from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group
-from kleinkram.recordings.model import Problem, RecordingSummary
-from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, compare_members, parse_rosbag2_metadata
+from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.forward import FileForward
+from kleinkram.recordings.grouping import METADATA_NAME, GroupKind, RecordingGroup, group
+from kleinkram.recordings.model import Depth, RecordingSummary
+from kleinkram.recordings.rosbag2.folder import combine_folder
+from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 from kleinkram.recordings.sources import FileSource
-from kleinkram.recordings.summary import summarise
+from kleinkram.recordings.summary import scan, summarise
+
+
+class Watch(Protocol):
+    """Is told how far a scan is."""
+
+    def began(self, path: str, size_bytes: int) -> None:
+        """A file is being read from here on."""
+
+    def moved(self, size_bytes: int) -> None:
+        """So many more of its bytes were read."""
+
+    def ended(self) -> None:
+        """It was read."""
 
 
 class InspectionKind(str, Enum):
@@ -39,22 +57,26 @@ class Inspection:
     summary: RecordingSummary
 
 
-def inspect_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Inspection]:
+def inspect_paths(
+    paths: Iterable[str | os.PathLike[str]], *, depth: Depth = Depth.summary, watch: Watch | None = None
+) -> list[Inspection]:
     """Look into files and folders, in the order given; of a folder, each recording inside it.
 
+    `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
+    `watch` is then told of the bytes that were read.
+
     Raises:
-        FileNotFoundError: a path does not exist.
+        FileNotFoundError: a path does not exist; nothing was read.
         SourceError: a file cannot be read.
     """
+    look = _Look(depth, watch)
+    given = [Path(path) for path in paths]
+    for path in given:
+        if not path.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     found: list[Inspection] = []
-    for given in paths:
-        path = Path(given)
-        if path.is_dir():
-            found += _inspect_folder(path)
-        elif path.exists():
-            found.append(_inspect_file(path))
-        else:
-            raise FileNotFoundError(f"{path}: there is no such file or folder")
+    for path in given:
+        found += _inspect_folder(path, look) if path.is_dir() else [_inspect_file(path, look)]
     return found
 
 
@@ -89,42 +111,81 @@ def to_plain(inspection: Inspection) -> dict[str, object]:
             }
             for topic in summary.topics
         ],
+        "depth": summary.depth.value,
+        "lost": vars(summary.lost) if summary.lost is not None else None,
+        "facts": [vars(fact) for fact in summary.facts],
     }
 
 
-def _inspect_file(path: Path) -> Inspection:
-    return Inspection(str(path), InspectionKind.file, (str(path),), _summarise_file(path))
+class _Look:
+    """How files are looked into."""
+
+    def __init__(self, depth: Depth, watch: Watch | None) -> None:
+        self._depth = depth
+        self._watch = watch
+
+    def into(self, path: Path) -> RecordingSummary:
+        """Summarise or scan a file."""
+        if self._depth is Depth.summary:
+            with FileSource(path) as source:
+                return summarise(source)
+        with FileForward(path) as forward:
+            if self._watch is None:
+                return scan(forward)
+            self._watch.began(str(path), forward.size_bytes)
+            try:
+                return scan(_Watched(forward, self._watch))
+            finally:
+                self._watch.ended()
 
 
-def _inspect_folder(folder: Path) -> list[Inspection]:
+class _Watched:
+    """A file read forward, whose reader is watched."""
+
+    def __init__(self, forward: FileForward, watch: Watch) -> None:
+        self.name = forward.name
+        self.size_bytes = forward.size_bytes
+        self.path = forward.path
+        self._forward = forward
+        self._watch = watch
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; b"" at the end."""
+        data = self._forward.read(length)
+        self._watch.moved(len(data))
+        return data
+
+
+def _inspect_file(path: Path, look: _Look) -> Inspection:
+    return Inspection(str(path), InspectionKind.file, (str(path),), look.into(path))
+
+
+def _inspect_folder(folder: Path, look: _Look) -> list[Inspection]:
     names = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
-    return [_inspect_group(folder, found) for found in group(names)]
+    stated = {
+        name: said
+        for name in names
+        if name.rpartition("/")[2] == METADATA_NAME and (said := _read_metadata(folder / name)) is not None
+    }
+    return [
+        _inspect_group(folder, found, stated.get(found.metadata_path or ""), look) for found in group(names, stated)
+    ]
 
 
-def _inspect_group(folder: Path, found: RecordingGroup) -> Inspection:
+def _inspect_group(folder: Path, found: RecordingGroup, said: Rosbag2Metadata | None, look: _Look) -> Inspection:
     if found.kind is GroupKind.single:
-        return _inspect_file(folder / found.members[0])
+        return _inspect_file(folder / found.members[0], look)
     members = tuple(str(folder / name) for name in found.members)
-    summary = combine([_summarise_file(Path(member)) for member in members])
-    if found.metadata_path is not None:
-        problems = _compare_with_metadata(folder / found.metadata_path, members, summary)
-        summary = replace(summary, problems=(*problems, *summary.problems))
+    names = [Path(member).name for member in members]
+    summaries = [look.into(Path(member)) for member in members]
+    is_folder = found.kind is GroupKind.rosbag2
+    summary = combine_folder(said, names, summaries) if is_folder else combine(summaries, names)
     return Inspection(str(folder / found.name), InspectionKind.recording, members, summary)
 
 
-def _summarise_file(path: Path) -> RecordingSummary:
-    with FileSource(path) as source:
-        return summarise(source)
-
-
-def _compare_with_metadata(path: Path, members: tuple[str, ...], summary: RecordingSummary) -> list[Problem]:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        metadata = parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
-    if metadata is None:
-        return [Problem("metadata-damaged", path.name, "it is not the metadata of a rosbag2 recording")]
-    problems = compare_members(metadata, [Path(member).name for member in members])
-    claimed, counted = metadata.message_count, summary.message_count
-    if not problems and None not in (claimed, counted) and claimed != counted:
-        message = f"it says {claimed} messages, the files hold {counted}"
-        problems.append(Problem("metadata-disagrees", path.name, message))
-    return problems
+def _read_metadata(path: Path) -> Rosbag2Metadata | None:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error

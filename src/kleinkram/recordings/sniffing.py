@@ -14,13 +14,17 @@ from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.limits import MAX_ZSTD_WINDOW
 from kleinkram.recordings.mcap import records as mcap_records
 from kleinkram.recordings.model import Problem, RecordingFormat
+from kleinkram.recordings.other.svo2 import LIBRARY_WORD
 from kleinkram.recordings.sources import Source
 
 HEAD_BYTES = 4096
 LONG_HEAD_BYTES = 65536
-RECORDINGS = frozenset((RecordingFormat.mcap, RecordingFormat.rosbag1, RecordingFormat.rosbag2_db3))
+RECORDINGS = frozenset(
+    (RecordingFormat.mcap, RecordingFormat.svo2, RecordingFormat.rosbag1, RecordingFormat.rosbag2_db3)
+)
 """Formats whose messages are read."""
 
+_MCAP_HEADER_BYTES = 64
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _MAGICS = (
     (mcap_records.MAGIC, RecordingFormat.mcap),
@@ -33,6 +37,7 @@ _MAGICS = (
 _BINARY = frozenset(
     (
         RecordingFormat.mcap,
+        RecordingFormat.svo2,
         RecordingFormat.rosbag1,
         RecordingFormat.rosbag1_old,
         RecordingFormat.rosbag2_db3,
@@ -42,16 +47,17 @@ _BINARY = frozenset(
 )
 _TEXT_EXTENSIONS = frozenset((".yaml", ".yml", ".csv", ".tum", ".txt", ".json"))
 _CLAIMS = {
-    ".mcap": {RecordingFormat.mcap},
+    ".mcap": {RecordingFormat.mcap, RecordingFormat.svo2},
     ".bag": {RecordingFormat.rosbag1, RecordingFormat.rosbag1_old},
     ".db3": {RecordingFormat.rosbag2_db3},
     ".zstd": {RecordingFormat.zstd},
     ".zst": {RecordingFormat.zstd},
     ".ulg": {RecordingFormat.ulog},
-    ".svo2": {RecordingFormat.mcap},
+    ".svo2": {RecordingFormat.svo2, RecordingFormat.mcap},
 }
 _ROSBAG2_TABLES = (re.compile(rb"TABLE\s+[\"'`\[]?messages\b", re.I), re.compile(rb"TABLE\s+[\"'`\[]?topics\b", re.I))
-_YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)""")
+_YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)|%YAML""")
+_JSON = re.compile(r"""\s*(\{\s*("|\})|\[\s*(["\[{\]\d-]|true|false|null))""")
 _TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
 
 
@@ -71,6 +77,8 @@ def sniff(source: Source) -> RecordingFormat:
 
 def sniff_head(head: bytes) -> RecordingFormat:
     """Say what a file is by its first bytes: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else."""
+    if head.startswith(mcap_records.MAGIC) and LIBRARY_WORD in head[len(mcap_records.MAGIC) :][:_MCAP_HEADER_BYTES]:
+        return RecordingFormat.svo2
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
@@ -109,6 +117,8 @@ def _sniff_text(head: bytes) -> RecordingFormat:
     text = head.decode("utf-8", "ignore")
     if len(text.encode()) < len(head) - 3:
         return RecordingFormat.unknown
+    if _JSON.match(text):
+        return RecordingFormat.json
     whole_lines = text.splitlines()[: -1 if len(head) == HEAD_BYTES else None]
     lines = [line.strip() for line in whole_lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:

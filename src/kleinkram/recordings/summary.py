@@ -11,6 +11,8 @@ from kleinkram.recordings.forward import Forward, from_source, peek
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
 from kleinkram.recordings.mcap.summary import scan_mcap, summarise_mcap
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings.other.describe import DESCRIBED, MAX_DESCRIBED_BYTES, describe
+from kleinkram.recordings.other.svo2 import as_svo2
 from kleinkram.recordings.rosbag2.db3 import scan_db3
 from kleinkram.recordings.sniffing import (
     LONG_HEAD_BYTES,
@@ -22,17 +24,6 @@ from kleinkram.recordings.sniffing import (
 )
 from kleinkram.recordings.sources import CountingSource, FileSource, Source
 from kleinkram.recordings.zstd_file import scan_zstd_file
-
-_NOT_READ = {
-    RecordingFormat.rosbag1_old: "a ROS bag 1.x: convert it with 'rosbag migrate'",
-    RecordingFormat.rosbag2_metadata: "the metadata of a rosbag2 recording, not a recording by itself",
-    RecordingFormat.ulog: "a PX4 ULog, whose content is not read",
-    RecordingFormat.tum: "a trajectory (TUM), not a recording",
-    RecordingFormat.kitti: "a trajectory (KITTI), not a recording",
-    RecordingFormat.yaml: "YAML, not a recording",
-    RecordingFormat.csv: "a table (CSV), not a recording",
-    RecordingFormat.unknown: "not a recording that we know",
-}
 
 
 def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
@@ -51,12 +42,14 @@ def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> Rec
     most = source.size_bytes if most_bytes is None else most_bytes
     if kind is RecordingFormat.mcap:
         summary = summarise_mcap(counting, most_bytes=most)
+    elif kind is RecordingFormat.svo2:
+        summary = as_svo2(summarise_mcap(counting, most_bytes=most))
     elif kind is RecordingFormat.rosbag1:
         summary = summarise_bag(counting, most_bytes=most)
     elif kind in _WITHOUT_INDEX:
         summary = _without_index(source, counting, kind, most)
     else:
-        summary = _recognised(kind)
+        summary = describe(kind, from_source(counting), most_bytes=min(most, MAX_DESCRIBED_BYTES))
     return replace(_named(summary, source.name, kind), bytes_read=max(counting.bytes_read, summary.bytes_read))
 
 
@@ -69,9 +62,10 @@ def scan(forward: Forward) -> RecordingSummary:
     """
     head, forward = peek(forward, LONG_HEAD_BYTES)
     kind = sniff_head(head) if head else RecordingFormat.empty
-    summary = _SCANS[kind](forward) if kind in _SCANS else _recognised(kind)
+    summary = _SCANS[kind](forward) if kind in _SCANS else describe(kind, forward, most_bytes=None)
     summary = replace(_named(summary, forward.name, kind), depth=Depth.scan)
-    return replace(summary, bytes_read=max(summary.bytes_read, forward.size_bytes if kind in _SCANS else len(head)))
+    is_read = kind in _SCANS or kind in DESCRIBED
+    return replace(summary, bytes_read=max(summary.bytes_read, forward.size_bytes if is_read else len(head)))
 
 
 def _without_index(source: Source, counting: Source, kind: RecordingFormat, most_bytes: int) -> RecordingSummary:
@@ -88,6 +82,10 @@ def _unpack(forward: Forward) -> RecordingSummary:
     return scan_zstd_file(forward, scan)
 
 
+def _scan_svo2(forward: Forward) -> RecordingSummary:
+    return as_svo2(scan_mcap(forward))
+
+
 def _named(summary: RecordingSummary, name: str, kind: RecordingFormat) -> RecordingSummary:
     """Add whether the file's name tells the truth."""
     lie = extension_lies(name, kind)
@@ -100,13 +98,8 @@ _WITHOUT_INDEX = {
 }
 _SCANS: dict[RecordingFormat, Callable[[Forward], RecordingSummary]] = {
     RecordingFormat.mcap: scan_mcap,
+    RecordingFormat.svo2: _scan_svo2,
     RecordingFormat.rosbag1: scan_bag,
     RecordingFormat.rosbag2_db3: scan_db3,
     RecordingFormat.zstd: _unpack,
 }
-
-
-def _recognised(kind: RecordingFormat) -> RecordingSummary:
-    if kind is RecordingFormat.empty:
-        return RecordingSummary(kind, Content.broken, "the file has 0 bytes")
-    return RecordingSummary(kind, Content.opaque, _NOT_READ[kind])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import GroupKind, RecordingGroup, compare_members, group, parse_rosbag2_metadata
+from kleinkram.recordings import GroupKind, RecordingGroup, Rosbag2Metadata, group, parse_rosbag2_metadata
 
 from .corpus import Entry, params
 
@@ -99,6 +99,9 @@ def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None
     assert found is not None
     assert (found.message_count, found.duration_ns) == (expected["messages_claimed"], expected["duration_ns_claimed"])
     assert (found.storage, list(found.files)) == (expected["storage"], expected["files"])
+    assert found.version == expected["version"]
+    assert sum(topic.message_count or 0 for topic in found.topics) >= (found.message_count or 0)
+    assert all(topic.name and topic.message_type and topic.serialization_format for topic in found.topics)
     assert [found.compression, found.compression_mode] == [
         (word and word.lower()) or "" for word in expected["compression"]
     ]
@@ -128,8 +131,30 @@ def test_odd_metadata_are_read_as_far_as_they_go() -> None:
     assert (found.files, found.message_count, found.storage) == (("a.db3",), None, None)
 
 
-def test_missing_and_surplus_members() -> None:
-    found = parse_rosbag2_metadata("rosbag2_bagfile_information:\n  relative_file_paths: [a_0.db3, a_1.db3]\n")
-    assert found is not None
-    problems = [(problem.code, problem.where) for problem in compare_members(found, ["a_1.db3", "a_2.db3"])]
-    assert problems == [("member-missing", "a_0.db3"), ("member-surplus", "a_2.db3")]
+def test_what_metadata_say_decides_which_files_and_in_which_order() -> None:
+    stated = Rosbag2Metadata(files=("run/b.db3", "a.db3"))
+    paths = ["run/metadata.yaml", "run/a.db3", "run/b.db3", "run/a_1.db3", "run/other.bag"]
+    assert group(paths, {"run/metadata.yaml": stated}) == [
+        RecordingGroup("run", ROSBAG2, ("run/b.db3", "run/a.db3", "run/a_1.db3"), "run/metadata.yaml"),
+        RecordingGroup("run/other.bag", SINGLE, ("run/other.bag",)),
+    ]
+
+
+def test_data_files_that_were_renamed_are_still_those_of_their_folder() -> None:
+    stated = Rosbag2Metadata(files=("run_0.db3",))
+    found = group(["field/metadata.yaml", "field/field_0.db3"], {"field/metadata.yaml": stated})
+    assert found == [RecordingGroup("field", ROSBAG2, ("field/field_0.db3",), "field/metadata.yaml")]
+
+
+def test_metadata_that_name_files_are_a_recording_without_them() -> None:
+    stated = Rosbag2Metadata(files=("run_0.db3",))
+    assert group(["run/metadata.yaml"], {"run/metadata.yaml": stated}) == [
+        RecordingGroup("run", ROSBAG2, (), "run/metadata.yaml")
+    ]
+
+
+def test_recordings_of_cameras_are_recordings() -> None:
+    assert shape(["front.svo2", "a.bag.zst"]) == [
+        ("a.bag.zst", SINGLE, ("a.bag.zst",)),
+        ("front.svo2", SINGLE, ("front.svo2",)),
+    ]

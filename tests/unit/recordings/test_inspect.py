@@ -10,7 +10,9 @@ import pytest
 
 from kleinkram.recordings import (
     Content,
+    Depth,
     FileSource,
+    Lost,
     RecordingFormat,
     RecordingSummary,
     TopicSummary,
@@ -63,11 +65,32 @@ def test_a_member_whose_clock_was_never_set_does_not_stretch_the_span() -> None:
     assert whole.topics[0].suspect_count == 3
 
 
-def test_the_worst_member_decides() -> None:
-    broken = replace(member(T0, T0 + 10), content=Content.broken, reason="cut")
+def test_one_broken_member_leaves_the_others() -> None:
+    broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
+    whole = combine([member(T0, T0 + 10), broken], ["a_0.mcap", "a_1.mcap"])
+    assert (whole.content, whole.reason, whole.message_count) == (Content.recovered, "a_1.mcap: cut", 11)
+    assert combine([broken, broken]).content is Content.broken
+
+
+def test_a_member_that_was_not_read_leaves_the_whole_unknown() -> None:
     pending = RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, "not read")
+    broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
     whole = combine([member(T0, T0 + 10), broken, pending])
-    assert (whole.content, whole.reason, whole.message_count) == (Content.broken, "cut", None)
+    assert (whole.content, whole.message_count) == (Content.pending, None)
+    assert whole.reason == "not read (and 1 more files are not whole)"
+
+
+def test_losses_are_added() -> None:
+    damaged = replace(member(T0, T0 + 10), content=Content.recovered, reason="cut", lost=Lost(100, 1, 5))
+    other = replace(damaged, lost=Lost(50, 2, None))
+    assert combine([member(T0, T0 + 5), damaged, damaged]).lost == Lost(200, 2, 10)
+    assert combine([damaged, other]).lost == Lost(150, 3, None)
+
+
+def test_a_type_that_changes_between_members_is_told() -> None:
+    one = member(T0, T0 + 10)
+    other = replace(one, topics=(replace(one.topics[0], message_type="a/C"),))
+    assert [(p.code, p.where) for p in combine([one, other]).problems] == [("topic-types-differ", "/t")]
 
 
 def test_one_member_is_the_whole() -> None:
@@ -86,23 +109,13 @@ def test_combined_splits_equal_the_whole_recording(recordings_dir: Path) -> None
     assert sum(topic.count or 0 for topic in found.summary.topics) == 6074
 
 
-def test_missing_members_are_named(recordings_dir: Path) -> None:
-    (found,) = inspect_paths([recordings_dir / "derived/split_missing_file"])
-    assert [(p.code, p.where) for p in found.summary.problems] == [("member-missing", "wbag_2.mcap")]
-
-
-def test_metadata_that_disagree_are_told(recordings_dir: Path) -> None:
-    (found,) = inspect_paths([recordings_dir / "derived/metadata_wrong_counts"])
-    assert [p.code for p in found.summary.problems] == ["metadata-disagrees"]
-
-
 def test_a_folder_shows_each_recording_inside(tmp_path: Path) -> None:
     mission = generate_mission(tmp_path / "mission", duration_s=1, formats=[SampleFormat.mcap, SampleFormat.db3])
     (tmp_path / "mission/notes.txt").write_text("sunny")
     found = inspect_paths([tmp_path / "mission", tmp_path / "mission/notes.txt"])
     assert [(Path(i.path).name, i.kind, i.summary.content) for i in found] == [
         ("drive.mcap", InspectionKind.file, Content.indexed),
-        ("drive_rosbag2", InspectionKind.recording, Content.pending),
+        ("drive_rosbag2", InspectionKind.recording, Content.indexed),
         ("notes.txt", InspectionKind.file, Content.opaque),
     ]
     with FileSource(mission.files[0].path) as source:
@@ -115,7 +128,7 @@ def test_the_plain_shape(tmp_path: Path) -> None:
     assert json.loads(json.dumps(plain)) == plain
     assert list(plain) == [
         "path", "kind", "members", "format", "content", "reason", "problems", "message_count", "start_ns", "end_ns",
-        "compression", "topics",
+        "compression", "topics", "depth", "lost", "facts",
     ]  # fmt: skip
     topics = plain["topics"]
     assert isinstance(topics, list)
@@ -125,6 +138,32 @@ def test_the_plain_shape(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_a_path_that_is_not_there() -> None:
+def test_a_path_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere"):
-        inspect_paths(["/nowhere"])
+        inspect_paths([tmp_path, "/nowhere"])
+
+
+def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) -> None:
+    class Watched:
+        def __init__(self) -> None:
+            self.told: list[object] = []
+
+        def began(self, path: str, size_bytes: int) -> None:
+            self.told.append((path, size_bytes))
+
+        def moved(self, size_bytes: int) -> None:
+            self.told.append(size_bytes)
+
+        def ended(self) -> None:
+            self.told.append("ended")
+
+    watch = Watched()
+    generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
+    path = tmp_path / "drive.mcap"
+    (shallow,) = inspect_paths([path])
+    (deep,) = inspect_paths([path], depth=Depth.scan, watch=watch)
+    assert (shallow.summary.depth, deep.summary.depth) == (Depth.summary, Depth.scan)
+    assert deep.summary.topics == shallow.summary.topics
+    first, *moved, last = watch.told
+    assert (first, last) == ((str(path), path.stat().st_size), "ended")
+    assert sum(step for step in moved if isinstance(step, int)) == path.stat().st_size

@@ -27,6 +27,9 @@ _DESCRIBE: dict[RecordingFormat, Callable[[Forward], RecordingSummary]] = {
     RecordingFormat.json: describe_json,
     RecordingFormat.ulog: describe_ulog,
 }
+DESCRIBED = frozenset(_DESCRIBE)
+"""Formats that are read for what they say."""
+
 _LARGE = {
     RecordingFormat.tum: "a trajectory (TUM)",
     RecordingFormat.kitti: "a trajectory (KITTI)",

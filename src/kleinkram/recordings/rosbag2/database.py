@@ -34,6 +34,7 @@ _PREPARE = (
     "PRAGMA trusted_schema=OFF",
     "PRAGMA cell_size_check=ON",
     "PRAGMA query_only=ON",
+    "PRAGMA ignore_check_constraints=ON",
     "PRAGMA mmap_size=0",
     f"PRAGMA cache_size=-{CACHE_KIB}",
 )
@@ -117,7 +118,7 @@ def check_tables(database: sqlite3.Connection) -> None:
     found = database.execute(
         "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages') AND type != 'index'"
     ).fetchall()
-    kinds = {name: kind if root else "virtual table" for name, kind, root in found}
+    kinds = {name: "virtual table" if kind == "table" and not root else kind for name, kind, root in found}
     for table, needed in (("topics", {"name", "type"}), ("messages", {"topic_id", "timestamp", "data"})):
         if kinds.get(table) != "table":
             what = f"is a {kinds[table]}" if table in kinds else "is missing"

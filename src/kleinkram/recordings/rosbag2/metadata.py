@@ -1,17 +1,35 @@
 """The metadata.yaml of a rosbag2 folder: what the recorder claims. Tolerant: whatever is missing or odd is None.
 
-It is only a claim. Missing and surplus members are named by comparing `files` with what is there.
+It is only a claim: `comparing` says where the data disagree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
-
-from kleinkram.recordings.model import Problem
 
 MAX_TEXT = 4 * 2**20
+_MOST_ENTRIES = 100_000
+
+
+@dataclass(frozen=True)
+class StatedTopic:
+    """What metadata.yaml says of a topic; empty or None where it says nothing."""
+
+    name: str
+    message_type: str
+    serialization_format: str
+    message_count: int | None
+
+
+@dataclass(frozen=True)
+class StatedFile:
+    """What metadata.yaml says of one data file, from version 5 on."""
+
+    path: str
+    message_count: int | None
+    start_ns: int | None
+    duration_ns: int | None
 
 
 @dataclass(frozen=True)
@@ -25,7 +43,12 @@ class Rosbag2Metadata:
         start_ns: log time of the first message.
         storage: "sqlite3" or "mcap".
         compression: format such as "zstd", or "".
-        compression_mode: "file", "message" or "".
+        compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself,
+            in a db3 as well as in an MCAP, and nothing in these files says so.
+        version: of the metadata's own format, 1 to 9.
+        topics: in the order of the file.
+        file_entries: what is said of single files; empty before version 5.
+        ros_distro: such as "jazzy"; empty before version 8.
     """
 
     files: tuple[str, ...]
@@ -35,6 +58,10 @@ class Rosbag2Metadata:
     storage: str | None = None
     compression: str = ""
     compression_mode: str = ""
+    version: int | None = None
+    topics: tuple[StatedTopic, ...] = ()
+    file_entries: tuple[StatedFile, ...] = ()
+    ros_distro: str = ""
 
 
 def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
@@ -57,38 +84,51 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
     return Rosbag2Metadata(
         files=_files(top),
         message_count=_number(top.get("message_count")),
-        duration_ns=_number(_mapping(top.get("duration")).get("nanoseconds")),
-        start_ns=_number(_mapping(top.get("starting_time")).get("nanoseconds_since_epoch")),
+        duration_ns=_nanoseconds(top, "duration", "nanoseconds"),
+        start_ns=_nanoseconds(top, "starting_time", "nanoseconds_since_epoch"),
         storage=_text(top.get("storage_identifier")) or None,
-        compression=_text(top.get("compression_format")),
+        compression=_text(top.get("compression_format")).lower(),
         compression_mode=_text(top.get("compression_mode")).lower().replace("none", ""),
+        version=_number(top.get("version")),
+        topics=tuple(_topic(entry) for entry in _entries(top, "topics_with_message_count")),
+        file_entries=tuple(_file(entry) for entry in _entries(top, "files")),
+        ros_distro=_text(top.get("ros_distro")),
     )
 
 
-def compare_members(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Problem]:
-    """Return a problem for each file that the metadata names and that is missing, and for each that it does not name.
+def _topic(entry: Mapping[object, object]) -> StatedTopic:
+    topic = _mapping(entry.get("topic_metadata")) or _mapping(entry.get("topic_and_type"))  # the latter in version 1
+    return StatedTopic(
+        name=_text(topic.get("name")),
+        message_type=_text(topic.get("type")),
+        serialization_format=_text(topic.get("serialization_format")),
+        message_count=_number(entry.get("message_count")),
+    )
 
-    `names`: file names of the data files in the folder, without directory.
-    """
-    claimed = {PurePosixPath(path).name for path in metadata.files}
-    there = set(names)
-    missing = [
-        Problem("member-missing", name, "metadata.yaml names it, but it is not there") for name in claimed - there
-    ]
-    surplus = [
-        Problem("member-surplus", name, "it is there, but metadata.yaml does not name it") for name in there - claimed
-    ]
-    return sorted([*missing, *surplus], key=lambda problem: (problem.code, problem.where))
+
+def _file(entry: Mapping[object, object]) -> StatedFile:
+    return StatedFile(
+        path=_text(entry.get("path")),
+        message_count=_number(entry.get("message_count")),
+        start_ns=_nanoseconds(entry, "starting_time", "nanoseconds_since_epoch"),
+        duration_ns=_nanoseconds(entry, "duration", "nanoseconds"),
+    )
 
 
 def _files(top: Mapping[object, object]) -> tuple[str, ...]:
     paths = top.get("relative_file_paths")
     if isinstance(paths, list):
-        return tuple(path for path in paths if isinstance(path, str))
-    files = top.get("files")
-    if isinstance(files, list):
-        return tuple(path for entry in files if isinstance(path := _mapping(entry).get("path"), str))
-    return ()
+        return tuple(path for path in paths[:_MOST_ENTRIES] if isinstance(path, str))
+    return tuple(path for entry in _entries(top, "files") if (path := _text(entry.get("path"))))
+
+
+def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, object]]:
+    entries = top.get(key)
+    return [_mapping(entry) for entry in entries[:_MOST_ENTRIES]] if isinstance(entries, list) else []
+
+
+def _nanoseconds(top: Mapping[object, object], key: str, inner: str) -> int | None:
+    return _number(_mapping(top.get(key)).get(inner))
 
 
 def _mapping(value: object) -> Mapping[object, object]:
