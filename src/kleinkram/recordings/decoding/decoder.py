@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from kleinkram.recordings.decoding.errors import DecodeError, SchemaError, Undecodable
+from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError, Undecodable
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_text import parse_idl
 from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
@@ -49,6 +49,8 @@ def decoder_for(
         return _decoder(message_encoding, schema_name, schema_encoding, schema_data)
     except SchemaError as error:
         return Undecodable(schema_name, f"its schema cannot be read: {error}")
+    except ReadingExtraMissing as error:
+        return Undecodable(schema_name, str(error))
 
 
 def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes) -> Decoder | Undecodable:

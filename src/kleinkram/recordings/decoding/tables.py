@@ -83,12 +83,11 @@ def to_pandas(
         NoSuchField: a name that fits no column.
         ReadingExtraMissing: numpy, pyarrow or pandas is not installed.
     """
-    table = to_arrow(decoder, messages, fields=fields, notice=notice)
     try:
         import pandas  # noqa: F401  # only to name it where it is missing
     except ImportError:
         raise ReadingExtraMissing("pandas") from None
-    return table.to_pandas()
+    return to_arrow(decoder, messages, fields=fields, notice=notice).to_pandas()
 
 
 def arrow_batches(
@@ -233,8 +232,9 @@ def _by_size(data: list[bytes]) -> Iterator[Any]:
     import numpy as np
 
     sizes = np.fromiter(map(len, data), np.int64, len(data))
-    for size in np.unique(sizes):
-        yield np.flatnonzero(sizes == size)
+    order = np.argsort(sizes, kind="stable")
+    ends = np.flatnonzero(np.diff(sizes[order])) + 1
+    yield from np.split(order, ends) if len(order) else ()
 
 
 def _column(column: Column, values: list[Any]) -> Any:
