@@ -31,6 +31,7 @@ MAX_MESSAGE = 64 * 2**20
 MAX_AHEAD = 32 * 2**20
 """Bytes of chunks that are fetched and decompressed ahead."""
 
+_LEAST_WORKERS = 2
 _GROUP_BYTES = 4 * 2**20
 _HEAD_BYTES = 4096
 _log_time = itemgetter(1)
@@ -98,8 +99,9 @@ class _Reader:
         self._selection = selection
 
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
-        workers: int = getattr(self._file.source, "parallel_reads", 1)
-        for group in do_ahead(self._jobs(numbers, together=workers > 1), workers=workers, most_bytes=MAX_AHEAD):
+        parallel: int = getattr(self._file.source, "parallel_reads", 1)
+        jobs = self._jobs(numbers, together=parallel > 1)
+        for group in do_ahead(jobs, workers=max(_LEAST_WORKERS, parallel), most_bytes=MAX_AHEAD):
             yield from group
 
     def _jobs(self, numbers: Iterable[int], *, together: bool) -> Iterator[Job[list[Loaded]]]:
@@ -148,7 +150,7 @@ class _Reader:
             if head.uncompressed_bytes > MAX_CHUNK_HELD:
                 return None
             start = stream.position - row.start
-            stored = data[start : start + head.stored_bytes]
+            stored = memoryview(data)[start : start + head.stored_bytes]
             content = unpack(head.compression, stored, head.uncompressed_bytes)
             if head.crc and zlib.crc32(content) != head.crc:
                 return Malformed(f"byte {row.start}", "its checksum is wrong")

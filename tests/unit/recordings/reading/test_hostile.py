@@ -1,0 +1,159 @@
+"""Files that lie or are damaged: reading them ends, in bounded memory, with messages and problems, never an error."""
+
+from __future__ import annotations
+
+import random
+import struct
+import tracemalloc
+from collections.abc import Callable, Iterable
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.reading import NotARecording, Recording
+from kleinkram.recordings.sample import generate_db3
+from kleinkram.recordings.sources import FileSource
+
+from ..memory_source import MemorySource
+from .making import T0, Stamped, Watched, bag_of, mcap_of
+
+Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
+
+
+def small(make: Make) -> bytes:
+    rng = random.Random(1)
+    chunks = [
+        [(f"/t{n % 2}", T0 + chunk * 100 + n, rng.randbytes(rng.randrange(40))) for n in range(8)] for chunk in range(4)
+    ]
+    source = make(chunks)
+    return source.read(0, source.size_bytes)
+
+
+FILES = {"mcap": small(mcap_of), "bag": small(bag_of)}
+
+
+def read_all(data: bytes, name: str) -> tuple[int, int]:
+    """Read a file whatever is in it; return how many messages and problems there are."""
+    try:
+        recording = Recording.open(MemorySource(data, name))
+    except NotARecording:
+        return 0, 1
+    found = list(recording.raw_messages())
+    assert [m.log_time_ns for m in found] == sorted(m.log_time_ns for m in found)
+    list(recording.messages("/t0*"))
+    return len(found), len(recording.problems)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+@settings(max_examples=150, deadline=None)
+@given(place=st.floats(0, 1, exclude_max=True), value=st.integers(0, 255), length=st.sampled_from([1, 2, 8]))
+def test_flipped_bytes(kind: str, place: float, value: int, length: int) -> None:
+    data = bytearray(FILES[kind])
+    at = int(place * len(data))
+    data[at : at + length] = bytes([value]) * min(length, len(data) - at)
+    read_all(bytes(data), kind)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_cut_anywhere(kind: str) -> None:
+    whole = FILES[kind]
+    counts = [read_all(whole[:length], kind)[0] for length in range(0, len(whole), 7)]
+    assert counts[0] == 0
+    assert max(counts) == 32
+    assert counts == sorted(counts)
+
+
+def test_flipped_database(tmp_path: Path) -> None:
+    generate_db3(tmp_path / "drive", duration_s=0.3, size_bytes=200_000)
+    path = tmp_path / "drive" / "drive_0.db3"
+    whole = path.read_bytes()
+    rng = random.Random(2)
+    for number in range(40):
+        data = bytearray(whole)
+        for _ in range(20):
+            data[rng.randrange(100, len(data))] = rng.randrange(256)
+        damaged = tmp_path / f"{number}.db3"
+        damaged.write_bytes(data)
+        try:
+            with Recording.open(damaged) as recording:
+                assert len(list(recording.raw_messages())) <= 1000
+        except NotARecording:
+            continue
+
+
+def test_a_chunk_that_fails_its_checksum_is_left_out_and_named() -> None:
+    source = mcap_of([[("/t", T0 + n, b"same" * 50)] for n in range(3)])
+    data = bytearray(source.read(0, source.size_bytes))
+    places = [at for at in range(len(data)) if data.startswith(b"\x28\xb5\x2f\xfd", at)]
+    crc_at = places[1] - 8 - 4 - 4 - 4
+    data[crc_at] ^= 1
+    recording = Recording.open(MemorySource(bytes(data)))
+    assert [m.log_time_ns - T0 for m in recording.raw_messages()] == [0, 2]
+    (problem,) = recording.problems
+    assert problem.code == "damaged"
+    assert "checksum" in problem.message
+    assert list(recording.raw_messages()) != []
+    assert len(recording.problems) == 1
+
+
+def chunk_record(content: bytes, *, claimed: int, stored: bytes | None = None) -> bytes:
+    stored = zstandard.compress(content) if stored is None else stored
+    head = struct.pack("<QQQII", T0, T0, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(stored))
+    return records.RECORD_HEAD.pack(records.CHUNK, len(head) + len(stored)) + head + stored
+
+
+@pytest.mark.parametrize("claimed", [2**62, 2**40, 100])
+def test_a_chunk_may_claim_anything(claimed: int) -> None:
+    """A chunk that unpacks to 300 MB of zeros, or says that it holds a million million bytes."""
+    bomb = chunk_record(bytes(300 * 2**20), claimed=claimed)
+    source = MemorySource(records.MAGIC + bomb)
+    tracemalloc.start()
+    recording = Recording.open(source)
+    assert list(recording.raw_messages()) == []
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert recording.problems
+    assert peak < 60_000_000
+
+
+def test_memory_does_not_follow_the_size_of_the_file(tmp_path: Path) -> None:
+    """200 MB in chunks of 25 MB, which overlap in time: far less than that is held."""
+    noise = bytes(range(256)) * 2000
+    chunks = [[("/t", T0 + chunk * 10 + n, noise) for n in range(49)] for chunk in range(8)]
+    path = tmp_path / "large.mcap"
+    out = mcap_of(chunks)
+    path.write_bytes(out.read(0, min(out.size_bytes, 16 * 2**20)))
+    with FileSource(path) as source:
+        tracemalloc.start()
+        recording = Recording.open(source)
+        assert sum(1 for _ in recording.raw_messages()) == 8 * 49
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 100_000_000
+
+
+def test_a_source_that_fails_is_a_source_error() -> None:
+    class Failing(Watched):
+        def read(self, offset: int, length: int) -> bytes:
+            if len(self.ranges) > 2:
+                raise SourceError("the store is away")
+            return super().read(offset, length)
+
+    noise = random.Random(3).randbytes(40_000)
+    recording = Recording.open(Failing(mcap_of([[("/t", T0 + n, noise)] for n in range(20)]), parallel_reads=4))
+    with pytest.raises(SourceError, match="away"):
+        list(recording.raw_messages())
+
+
+def test_no_bytes_are_read_beyond_a_bound() -> None:
+    out = BytesIO()
+    out.write(records.MAGIC)
+    out.write(records.RECORD_HEAD.pack(records.MESSAGE, 2**63))
+    out.write(bytes(100))
+    assert read_all(out.getvalue(), "huge.mcap") == (0, 2)
