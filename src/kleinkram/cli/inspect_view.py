@@ -1,16 +1,17 @@
 """What `klein inspect` shows to a person."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from kleinkram.cli.render import details, escape, line, table
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.recordings.inspect import Inspection
-from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingSummary, TopicSummary
+from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, TopicSummary
 
 _WORDS = {
     Content.indexed: "whole",
     Content.recovered: "damaged, read as far as it can be",
-    Content.broken: "broken",
+    Content.broken: "nothing of it can be read",
     Content.pending: "not read yet",
     Content.opaque: "not a recording",
     Content.error: "could not be read",
@@ -23,11 +24,11 @@ def show(one: Inspection) -> None:
     details(
         [
             (one.kind.value, one.path),
-            ("files", [*one.members] if len(one.members) > 1 else None),
+            ("files", [Path(member).name for member in one.members] if len(one.members) > 1 else None),
             ("format", _format(summary)),
             ("content", _content(summary)),
             ("reason", summary.reason),
-            ("lost", _lost(summary.lost)),
+            ("lost", _lost(summary)),
             ("messages", _messages(summary)),
             ("start", instant(summary.start_ns)),
             ("span", span(summary.start_ns, summary.end_ns)),
@@ -53,18 +54,17 @@ def _content(summary: RecordingSummary) -> str:
     return f"{summary.content.value} ({_WORDS[summary.content]}{checked})"
 
 
-def _lost(lost: Lost | None) -> str | None:
+def _lost(summary: RecordingSummary) -> str | None:
+    lost = summary.lost
     if lost is None:
         return None
-    parts = []
-    if lost.messages is not None:
-        parts.append(f"{lost.messages} messages")
+    # A database has pages where others have chunks.
+    piece = "page" if summary.format is RecordingFormat.rosbag2_db3 else "chunk"
+    parts = [f"{lost.messages} messages" if lost.messages is not None else "messages, nobody knows how many"]
     if lost.chunks:
-        parts.append(f"{lost.chunks} chunks")
+        parts.append(f"{lost.chunks} {piece}{'' if lost.chunks == 1 else 's'}")
     if lost.bytes:
         parts.append(f"{size(lost.bytes)}")
-    if lost.messages is None:
-        parts.append("how many messages is not known")
     return ", ".join(parts)
 
 

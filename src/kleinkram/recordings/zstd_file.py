@@ -17,7 +17,7 @@ import zstandard
 from kleinkram.recordings.forward import Forward, SourceForward
 from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
-from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
+from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import LONG_HEAD_BYTES, RECORDINGS, sniff_head
 from kleinkram.recordings.sources import FileSource
 
@@ -147,11 +147,11 @@ class _Packed:
         self.read = read
 
 
-def scan_zstd_file(forward: Forward, scan: Scan) -> RecordingSummary:
+def scan_zstd_file(forward: Forward, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
     """Read a file that is compressed as a whole; `scan` reads what is inside, under its name without `.zstd`.
 
     `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
-    `recovered` as far as it unpacks.
+    `recovered` as far as it unpacks; one that unpacks to more than `most_bytes` is `pending`.
 
     Raises:
         SourceError: as `Forward.read`, or the unpacked copy cannot be written.
@@ -161,7 +161,7 @@ def scan_zstd_file(forward: Forward, scan: Scan) -> RecordingSummary:
     if kind not in RECORDINGS:
         return _not_a_recording(kind, unpacking)
     try:
-        with temporary_copy(unpacking.read) as path, FileSource(path) as source:
+        with temporary_copy(unpacking.read, most_bytes=most_bytes) as path, FileSource(path) as source:
             inner = SourceForward(source, path=path)
             inner.name = PurePosixPath(forward.name).stem
             summary = scan(inner)

@@ -102,10 +102,10 @@ def parse_seconds(text: str) -> int:
     if whole.isdecimal() and (part.isdecimal() or not part):
         stamp = int(whole[:20]) * _NS + int(part[:_NS_DIGITS].ljust(_NS_DIGITS, "0") or 0)
     else:
-        seconds = float(text)
-        if not isfinite(seconds):
+        nanoseconds = float(text) * _NS
+        if not isfinite(nanoseconds):
             raise ValueError(text)
-        stamp = round(seconds * _NS)
+        stamp = round(nanoseconds)
     if not 0 <= stamp <= _LATEST_NS:
         raise ValueError(text)
     return stamp

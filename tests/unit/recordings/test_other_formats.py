@@ -1,0 +1,254 @@
+"""Files beside recordings: recognised by content, and the facts that are cheap."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
+from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.other.describe import describe
+from kleinkram.recordings.other.lines import MAX_LINE_BYTES, read_lines
+from kleinkram.recordings.other.trajectories import parse_seconds
+from kleinkram.recordings.summary import scan
+
+from .corpus import Entry, params
+from .memory_source import MemorySource
+
+
+def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
+    data = text.encode() if isinstance(text, str) else text
+    summary = summarise(MemorySource(data, name))
+    scanned = scan(from_source(MemorySource(data, name)))
+    assert (scanned.format, scanned.content, scanned.facts, scanned.problems) == (
+        summary.format,
+        summary.content,
+        summary.facts,
+        summary.problems,
+    )
+    return summary
+
+
+def facts(summary: RecordingSummary) -> dict[str, object]:
+    """Facts by name; those of which there are several as a list."""
+    found: dict[str, list[object]] = {}
+    for fact in summary.facts:
+        found.setdefault(fact.name, []).append(fact.value)
+    return {name: values[0] if len(values) == 1 else values for name, values in found.items()}
+
+
+def test_real_trajectories(recordings_dir: Path) -> None:
+    """Poses and way as a straightforward reading has them."""
+    for path in sorted(recordings_dir.glob("trajectories/*.tum")):
+        rows = [line.split() for line in path.read_text().splitlines() if line.strip() and line[0] != "#"]
+        places = [[float(cell) for cell in row[1:4]] for row in rows]
+        way = sum(math.dist(a, b) for a, b in pairwise(places))
+        with FileSource(path) as source:
+            summary = summarise(source)
+        assert (summary.format, summary.content, summary.problems) == (RecordingFormat.tum, Content.opaque, ())
+        assert facts(summary)["poses"] == len(rows)
+        assert facts(summary)["path_length"] == pytest.approx(way, abs=0.001)
+        stamps = [round(float(row[0]), 3) for row in rows]
+        assert summary.start_ns is not None
+        assert summary.end_ns is not None
+        assert (round(summary.start_ns / 1e9, 3), round(summary.end_ns / 1e9, 3)) == (min(stamps), max(stamps))
+
+
+@pytest.mark.parametrize("entry", params("PX4 ULog"))
+def test_real_flight_log(entry: Entry, recordings_dir: Path) -> None:
+    with FileSource(recordings_dir / entry.name) as source:
+        summary = summarise(source)
+    expected = entry.expected
+    assert (summary.format, summary.content, summary.reason) == (RecordingFormat.ulog, Content.indexed, None)
+    assert (summary.message_count, summary.problems) == (expected["messages"], ())
+    assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
+    found = [(t.name, t.message_type, t.count) for t in summary.topics if t.count]
+    assert found == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
+    assert facts(summary)["sys_name"] == "PX4"
+
+
+def test_a_flight_log_that_was_cut(recordings_dir: Path) -> None:
+    data = (recordings_dir / "other/px4_sample.ulg").read_bytes()
+    previous = -1
+    for tenth in range(1, 10):
+        summary = summarise(MemorySource(data[: len(data) * tenth // 10], "a.ulg"))
+        assert summary.content in (Content.recovered, Content.indexed, Content.broken)
+        assert summary.message_count is not None
+        assert previous <= summary.message_count < 4272
+        previous = summary.message_count
+    assert previous > 3000
+
+
+def ulog(*messages: tuple[str, bytes]) -> bytes:
+    body = b"".join(struct.pack("<HB", len(data), ord(kind)) + data for kind, data in messages)
+    return b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000) + body
+
+
+def data_message(message_id: int, *values: int) -> tuple[str, bytes]:
+    return "D", struct.pack(f"<H{len(values)}Q", message_id, *values)
+
+
+def test_the_stamp_of_a_flight_log_may_stand_anywhere() -> None:
+    log = ulog(
+        ("F", b"a:uint32_t[2] pair;uint64_t timestamp;"),
+        ("F", b"b:other nested;uint64_t timestamp;"),
+        ("A", b"\x00\x05\x00a"),
+        ("A", b"\x02\x06\x00b"),
+        data_message(5, 7, 2_000_000),
+        data_message(5, 7, 3_000_000),
+        data_message(5, 7, 500_000),
+        data_message(6, 7, 3_000_000),
+        data_message(9, 1),
+        ("O", struct.pack("<H", 120)),
+        ("I", b"\x10char[3] sys_nameABC"),
+    )
+    summary = summarise_text(log, "a.ulg")
+    assert [(t.name, t.count, t.first_ns, t.last_ns) for t in summary.topics] == [
+        ("a", 3, 1_000_000_000, 3_000_000_000),
+        ("b#2", 0, None, None),
+    ]
+    assert [p.code for p in summary.problems] == ["dropouts", "rows-unusable", "topic-undefined"]
+    assert facts(summary)["sys_name"] == "ABC"
+
+
+@pytest.mark.parametrize("tail", [b"\xff" * 50, b"\x00" * 50, b"\x10\x00Dab"])
+def test_a_flight_log_with_rubbish_at_its_end(tail: bytes) -> None:
+    log = ulog(("F", b"a:uint64_t timestamp;"), ("A", b"\x00\x05\x00a"), data_message(5, 2_000_000))
+    summary = summarise(MemorySource(log + tail, "a.ulg"))
+    assert (summary.content, summary.message_count) == (Content.recovered, 1)
+    assert summary.reason
+    assert summary.lost is not None
+
+
+def test_a_trajectory_with_faults() -> None:
+    text = (
+        "# timestamp tx ty tz qx qy qz qw\n"
+        "1.5 0 0 0 0 0 0 1\n2.5 3 4 0 0 0 0 1\n2.0 3 4 12 0 0 0 1\nnan 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 5\n"
+    )
+    summary = summarise_text(text, "a.tum")
+    assert facts(summary) == {"poses": 4, "path_length": 30.0, "duration": 1.5}
+    assert (summary.start_ns, summary.end_ns) == (1_500_000_000, 3_000_000_000)
+    assert [(p.code, p.where) for p in summary.problems] == [
+        ("lines-damaged", "line 5"),
+        ("out-of-order", "file"),
+        ("rotation-not-unit", "file"),
+    ]
+
+
+def test_kitti() -> None:
+    text = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 3 0 1 0 0 0 0 1 4\n"
+    summary = summarise_text(text, "00.txt")
+    assert (summary.format, facts(summary)) == (RecordingFormat.kitti, {"poses": 2, "path_length": 5.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1403638128.545096874", 1403638128545096874),
+        ("1403638128.5450968749", 1403638128545096874),
+        ("12", 12_000_000_000),
+        (".5", 500_000_000),
+        ("1e3", 1_000_000_000_000),
+    ],
+)
+def test_seconds_are_nanoseconds_without_rounding(text: str, expected: int) -> None:
+    if text.startswith("."):
+        assert parse_seconds("0" + text) == expected
+    assert parse_seconds(text) == expected
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e300", "x", "99999999999999999999"])
+def test_seconds_that_no_clock_shows(text: str) -> None:
+    with pytest.raises(ValueError, match=r".*"):
+        parse_seconds(text)
+
+
+def test_tables() -> None:
+    summary = summarise_text('#stamp, "a, b",c\n1,2,3\n4,5,6\n', "imu.csv")
+    assert summary.format is RecordingFormat.csv
+    summary = summarise_text("stamp,b,c\n1,2,3\n4,5,6\n", "imu.csv")
+    assert facts(summary) == {"columns": 3, "rows": 2, "column": ["stamp", "b", "c"]}
+    assert facts(summarise_text("1,2\n3,4\n", "a.csv")) == {"columns": 2, "rows": 2}
+
+
+def test_yaml_and_calibrations() -> None:
+    summary = summarise_text("robot: anymal\nlist:\n  - nested: 1\n'quoted key': 2\n# no: comment\n", "m.yaml")
+    assert (summary.format, facts(summary)) == (
+        RecordingFormat.yaml,
+        {"keys": 3, "key": ["robot", "list", "quoted key"]},
+    )
+    ros = "image_width: 752\nimage_height: 480\ncamera_matrix:\n  rows: 3\ndistortion_coefficients:\n  rows: 1\n"
+    assert facts(summarise_text(ros, "cam.yaml"))["kind"] == "camera calibration"
+    assert facts(summarise_text("%YAML:1.0\n---\n" + ros, "cam.yml"))["kind"] == "camera calibration"
+    kalibr = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [0]\n  intrinsics: [1, 2]\n"
+    assert facts(summarise_text(kalibr, "chain.yaml"))["kind"] == "camera calibration"
+    assert "kind" not in facts(summarise_text("cam0: here\n", "no.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('{"a": 1, "b": [2]}', {"keys": 2, "key": ["a", "b"]}),
+        ("[1, 2, 3]", {"items": 3}),
+        ("[]", {"items": 0}),
+        ("{}", {"keys": 0}),
+        ('{"long": "' + "x" * 10_000 + '"}', {"keys": 1, "key": "long"}),
+    ],
+)
+def test_json(text: str, found: dict[str, object]) -> None:
+    summary = summarise_text(text, "a.json")
+    assert (summary.format, summary.content, facts(summary)) == (RecordingFormat.json, Content.opaque, found)
+    assert summary.problems == ()
+
+
+@pytest.mark.parametrize("text", ['{"a": 1', "[" * 100_000, '{"a": 1} {"b": 2}'])
+def test_json_that_is_none(text: str) -> None:
+    summary = summarise_text(text, "a.json")
+    assert [p.code for p in summary.problems] == ["json-damaged"]
+
+
+def test_the_answers_beside_the_conformance_files_are_json(recordings_dir: Path) -> None:
+    for path in sorted(recordings_dir.glob("conformance/*.json"))[:5]:
+        with FileSource(path) as source:
+            summary = summarise(source)
+        assert (summary.format, summary.content, summary.problems) == (RecordingFormat.json, Content.opaque, ())
+        assert facts(summary)["keys"] == len(json.loads(path.read_text()))
+
+
+def test_a_recording_of_a_camera(tmp_path: Path) -> None:
+    path = tmp_path / "front.svo2"
+    with path.open("wb") as file:
+        writer = McapWriter(file, library="libmcap stereolabs")
+        schema = writer.add_schema("jsonschema", "jsonschema", b"{}")
+        frames = writer.add_channel("Camera_SN38486288/side_by_side", schema, "zed")
+        sensors = writer.add_channel("Camera_SN38486288/sensors", schema, "json")
+        for number in range(30):
+            writer.add_message(frames, number * 10**7, b"h264", publish_time_ns=0)
+            writer.add_message(sensors, number * 10**7, b"{}", publish_time_ns=0)
+        writer.finish()
+    with FileSource(path) as source:
+        summary = summarise(source)
+    assert (summary.format, summary.content, summary.problems) == (RecordingFormat.svo2, Content.indexed, ())
+    assert (facts(summary)["camera_serial"], facts(summary)["frames"]) == ("38486288", 30)
+    assert summary.message_count == 60
+
+
+def test_large_files_are_only_recognised() -> None:
+    text = MemorySource(b"1 0 0 0 0 0 0 1\n" * 100, "a.tum")
+    summary = describe(RecordingFormat.tum, from_source(text), most_bytes=1000)
+    assert (summary.content, summary.facts, summary.depth) == (Content.opaque, (), Depth.summary)
+    assert "1600 bytes" in (summary.reason or "")
+    log = MemorySource(ulog(("F", b"a:uint64_t timestamp;")), "a.ulg")
+    assert describe(RecordingFormat.ulog, from_source(log), most_bytes=10).content is Content.pending
+
+
+def test_lines_are_bounded() -> None:
+    long = b"x" * (3 * MAX_LINE_BYTES)
+    lines = [*read_lines(from_source(MemorySource(b"a\r\n" + long + b"\n\nb")))]
+    assert [len(line) for line in lines] == [1, MAX_LINE_BYTES, 0, 1]
