@@ -105,7 +105,7 @@ def test_one_frame_costs_one_chunk(parallel_reads: int) -> None:
     watched.ranges.clear()
     messages = recording.raw_messages("/camera/left", start=T0 + 100)
     assert next(messages).log_time_ns == T0 + 100
-    messages.close()
+    del messages
     assert len(watched.ranges) == 1
 
 
