@@ -130,6 +130,15 @@ def test_messages_whose_topics_are_lost_are_kept_apart(sound: bytes, tmp_path: P
     assert summary.content is Content.recovered
 
 
+def test_a_schema_that_sqlite_calls_too_much_memory(tmp_path: Path) -> None:
+    """Found by mutations: a row of the schema that claims 2^64 - 1 bytes, for which SQLite raises MemoryError."""
+    data = bytearray(make_database(tmp_path / "a.db3", messages=steady(100)).read_bytes())
+    at = int.from_bytes(data[108:110], "big")
+    data[at : at + 16] = b"\xff" * 16
+    summary = scan_bytes(bytes(data), tmp_path)
+    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+
+
 def test_a_deleted_row_is_not_brought_back(tmp_path: Path) -> None:
     """Pages of the freelist still hold the rows that were deleted."""
     import sqlite3

@@ -68,6 +68,17 @@ def open_database(path: Path) -> Iterator[sqlite3.Connection]:
     """
     if not os.access(path, os.R_OK):
         raise SourceError(f"{path}: cannot be opened for reading")
+    try:
+        with _connect(path) as database:
+            yield database
+    except MemoryError:
+        # SQLite says this of some damaged schemas too. Whether there was enough is tried out: a MemoryError says no.
+        bytearray(MAX_VALUE_BYTES + CACHE_KIB * 1024)
+        raise sqlite3.DatabaseError("its schema is damaged") from None
+
+
+@contextmanager
+def _connect(path: Path) -> Iterator[sqlite3.Connection]:
     uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)) as database:
         if sys.version_info >= (3, 11):
