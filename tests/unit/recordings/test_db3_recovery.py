@@ -139,6 +139,13 @@ def test_a_schema_that_sqlite_calls_too_much_memory(tmp_path: Path) -> None:
     assert (summary.content, summary.message_count) == (Content.recovered, 100)
 
 
+def test_a_schema_whose_names_are_no_text(tmp_path: Path) -> None:
+    """Found by mutations: SQLite quotes the name in an error that Python cannot decode."""
+    data = make_database(tmp_path / "a.db3", messages=steady(100)).read_bytes()
+    summary = scan_bytes(data.replace(b"timestamp_idx", b"timesta\x80p_idx", 1), tmp_path)
+    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+
+
 def test_a_deleted_row_is_not_brought_back(tmp_path: Path) -> None:
     """Pages of the freelist still hold the rows that were deleted."""
     import sqlite3

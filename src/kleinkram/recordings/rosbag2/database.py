@@ -75,6 +75,9 @@ def open_database(path: Path) -> Iterator[sqlite3.Connection]:
         # SQLite says this of some damaged schemas too. Whether there was enough is tried out: a MemoryError says no.
         bytearray(MAX_VALUE_BYTES + CACHE_KIB * 1024)
         raise sqlite3.DatabaseError("its schema is damaged") from None
+    except UnicodeDecodeError:
+        # SQLite quotes a damaged name in its message, which Python cannot read then.
+        raise sqlite3.DatabaseError("its schema is damaged") from None
 
 
 @contextmanager

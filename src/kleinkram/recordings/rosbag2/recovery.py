@@ -83,16 +83,27 @@ class Recovery:
 
     def messages(self) -> Iterator[MessageRow]:
         """Yield every message that is whole, in the order of the row ids; read it to its end."""
+        return (row for row, _, _ in self._whole_rows())
+
+    def messages_with_data(self, most_bytes: int) -> Iterator[tuple[MessageRow, bytes]]:
+        """Yield what `messages` yields with its data; those with more than `most_bytes` are left out."""
+        for row, page, place in self._whole_rows():
+            if row.data_bytes <= most_bytes:
+                cell, column = place
+                yield row, self._payload(page, cell)[column.at : column.at + column.length]
+
+    def _whole_rows(self) -> Iterator[tuple[MessageRow, bytes, tuple[Cell, Column]]]:
         in_order = _sort(self._leaves)
         previous, count = 0, 0
         mask = (1 << _PAGE_BITS) - 1
         for key in self._leaves:
-            for row_id, row in self._rows_of_page(key & mask):
+            for row, page, place in self._rows_of_page(key & mask):
+                row_id = place[0].row_id
                 if in_order and row_id <= previous:
                     continue  # a copy of a page that the file no longer means
                 previous = max(previous, row_id)
                 count += 1
-                yield row
+                yield row, page, place
         self._measure(previous, count)
 
     def _survey(self) -> None:
@@ -143,7 +154,18 @@ class Recovery:
         end = min(column.at + min(column.length, MAX_NAME), cell.local_bytes)
         return page[cell.at + column.at : cell.at + end].decode("utf-8", "replace")
 
-    def _rows_of_page(self, number: int) -> Iterator[tuple[int, MessageRow]]:
+    def _payload(self, page: bytes, cell: Cell) -> bytes:
+        """Return the payload of a row that is known to be whole, with what stands in other pages."""
+        pieces = [page[cell.at : cell.at + cell.local_bytes]]
+        left, number = cell.payload_bytes - cell.local_bytes, cell.overflow_page
+        while left > 0:
+            more = self._file.page(number)
+            (number,) = _U32.unpack_from(more)
+            pieces.append(more[4 : min(self._file.header.usable_bytes, 4 + left)])
+            left -= len(pieces[-1])
+        return b"".join(pieces)
+
+    def _rows_of_page(self, number: int) -> Iterator[tuple[MessageRow, bytes, tuple[Cell, Column]]]:
         page = self._file.page(number)
         try:
             for cell, columns in self._cells(number, page):
@@ -155,7 +177,7 @@ class Recovery:
                 else:
                     topic_id = pages.read_integer(columns[1], page, cell.at)
                     timestamp = pages.read_integer(columns[2], page, cell.at)
-                    yield cell.row_id, MessageRow(topic_id, timestamp, columns[3].length)
+                    yield MessageRow(topic_id, timestamp, columns[3].length), page, (cell, columns[3])
         except Malformed as error:
             self._note(number, error.message)
 
