@@ -18,6 +18,7 @@ import psutil
 
 from benchmarks.index_bytes import index_bytes
 from benchmarks.measure import Pairing, Run, pair, run_side
+from benchmarks.recordings import recording_rows
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,6 +39,7 @@ def main() -> None:
     with instance() as environment:
         rows += [upload_row(environment), download_row(environment), small_files_row(environment)]
         rows += summary_rows(environment)
+    rows += recording_rows(STAGE / "recordings")
     rows += start_rows()
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     print_table(rows)

@@ -21,9 +21,9 @@ class Run:
     facts: dict[str, float]
 
 
-def run_side(name: str, *arguments: str, environment: dict[str, str]) -> Run:
-    """Run `python -m benchmarks.sides NAME ARGUMENTS…` and return its account."""
-    command = [sys.executable, "-m", "benchmarks.sides", name, *arguments]
+def run_side(name: str, *arguments: str, environment: dict[str, str], module: str = "benchmarks.sides") -> Run:
+    """Run `python -m MODULE NAME ARGUMENTS…` and return its account."""
+    command = [sys.executable, "-m", module, name, *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, **environment})
     stdout = process.stdout.read() if process.stdout else b""
     _, status, usage = os.wait4(process.pid, 0)
