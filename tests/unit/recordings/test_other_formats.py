@@ -117,6 +117,12 @@ def test_the_stamp_of_a_flight_log_may_stand_anywhere() -> None:
     assert facts(summary)["sys_name"] == "ABC"
 
 
+@pytest.mark.parametrize("kind", "ABCDFILMOPQRS")
+def test_empty_messages_of_a_flight_log(kind: str) -> None:
+    summary = summarise_text(ulog((kind, b"")), "a.ulg")
+    assert (summary.content, summary.message_count) == (Content.indexed, 0)
+
+
 @pytest.mark.parametrize("tail", [b"\xff" * 50, b"\x00" * 50, b"\x10\x00Dab"])
 def test_a_flight_log_with_rubbish_at_its_end(tail: bytes) -> None:
     log = ulog(("F", b"a:uint64_t timestamp;"), ("A", b"\x00\x05\x00a"), data_message(5, 2_000_000))

@@ -124,7 +124,8 @@ def _read_subscription(log: _Log, body: bytes) -> None:
 
 def _read_information(log: _Log, body: bytes) -> None:
     """Keep what tells which vehicle it was: a key such as `char[4] sys_name`, and its text."""
-    key, value = body[1 : 1 + body[0]], body[1 + body[0] :]
+    key_bytes = body[0] if body else 0
+    key, value = body[1 : 1 + key_bytes], body[1 + key_bytes :]
     kind, _, name = key.decode("utf-8", "replace").partition(" ")
     if kind.startswith("char") and name in _TOLD:
         log.told[name] = value[:MAX_NAME].decode("utf-8", "replace")
