@@ -13,6 +13,7 @@ from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
 from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
 from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
 from kleinkram.recordings.decoding.schema import Struct
+from kleinkram.recordings.decoding.well_known import well_known_definition
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
 
 
@@ -41,6 +42,7 @@ def decoder_for(
 ) -> Decoder | Undecodable:
     """Return the decoder of a channel's messages, or why there is none. Cached.
 
+    Where CDR messages have no definition, that of `well_known` counts, if there is one.
     The encodings are spelled as in MCAP; a ROS 1 bag is ("ros1", type, "ros1msg", message_definition).
     """
     if len(schema_data) > MAX_SCHEMA_BYTES:
@@ -58,6 +60,11 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
         return Decoder(name, message_encoding, json_decode(name), None)
     if message_encoding == "protobuf" and schema_encoding == "protobuf":
         return Decoder(name, message_encoding, protobuf_decode(name, data), None)
+    if message_encoding == "cdr" and not data:
+        text = well_known_definition(name)
+        if text is None:
+            return Undecodable(name, "the recording holds no definition of it, and it is none of the common types")
+        schema_encoding, data = "ros2msg", text.encode()
     parse = _PARSERS.get((message_encoding, schema_encoding))
     if parse is None:
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"

@@ -125,7 +125,7 @@ def test_a_type_without_fields_has_one_byte_in_cdr_and_none_in_ros1() -> None:
     text = "Empty[2] e\nuint8 z\n===\nMSG: test_msgs/Empty\n"
     assert plain(ros2(text), LITTLE + b"\0\0\x07") == {"e": [{}, {}], "z": 7}
     assert plain(ros1(text), b"\x07") == {"e": [{}, {}], "z": 7}
-    assert plain(ros2(""), LITTLE) == {}
+    assert plain(ros2("# nothing"), LITTLE) == {}
     assert plain(ros1(""), b"") == {}
 
 
@@ -186,5 +186,5 @@ def test_other_encapsulations_are_named(encoding: int, reason: str) -> None:
 
 
 def test_what_cannot_be_decoded_has_a_reason() -> None:
-    answer = decoder_for("cdr", "a/msg/B", "flatbuffer", b"")
+    answer = decoder_for("cdr", "a/msg/B", "flatbuffer", b"x")
     assert answer == Undecodable("a/msg/B", "messages encoded as 'cdr' with a schema in 'flatbuffer' are not decoded")
