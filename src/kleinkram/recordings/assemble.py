@@ -9,11 +9,9 @@ from typing import NamedTuple
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.oddities import gathered, name_oddities
 from kleinkram.recordings.tally import Lateness
 from kleinkram.recordings.timeline import Run, Timeline, TopicTimes, bulk, within
-
-_MOST_OF_A_KIND = 3
-_MOST_NAMED = 5
 
 
 class TopicType(NamedTuple):
@@ -51,7 +49,7 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=tuple(problems),
+        problems=(*problems, *name_oddities(topics, island.last_ns - island.first_ns if island else None)),
     )
 
 
@@ -118,17 +116,7 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
             f"typically {median_s:+.1f} s, at most {largest_s:+.1f} s"
         )
         problems.append(Problem("publish-time-differs", topic, message))
-    return _gathered(problems)
-
-
-def _gathered(problems: Sequence[Problem]) -> list[Problem]:
-    """Put what is said of more than a few topics into one problem."""
-    if len(problems) <= _MOST_OF_A_KIND:
-        return list(problems)
-    first = problems[0]
-    names = ", ".join(problem.where for problem in problems[:_MOST_NAMED])
-    more = ", ..." if len(problems) > _MOST_NAMED else ""
-    return [Problem(first.code, f"{len(problems)} topics", f"{first.where}: {first.message}; likewise {names}{more}")]
+    return gathered(problems)
 
 
 def tell_readable(messages: int, lost: Lost | None) -> str:

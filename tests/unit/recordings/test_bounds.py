@@ -12,6 +12,7 @@ from kleinkram.recordings.bag.writer import BagCompression, BagWriter
 from kleinkram.recordings.mcap.writer import Compression, McapWriter
 
 from .memory_source import MemorySource, SparseFile
+from .synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
 
 MESSAGES = 400
 PAYLOAD = bytes(1_000_000)
@@ -60,6 +61,22 @@ def test_a_summary_reads_the_index_and_little_more(large: tuple[SparseFile, int]
     assert file.size_bytes > 400_000_000
     assert counting.bytes_read <= index_bytes + SPARE
     assert counting.reads <= MESSAGES + 10
+
+
+@pytest.mark.parametrize(("size_bytes", "chunk_bytes"), [(10**10, 4 * 2**20), (10**12, 256 * 2**20)])
+def test_a_summary_of_any_size_costs_its_index(size_bytes: int, chunk_bytes: int) -> None:
+    """10 GB and 1 TB: bytes and memory follow the index alone."""
+    source = SyntheticMcap(size_bytes, chunk_bytes=chunk_bytes)
+    counting = CountingSource(source)
+    tracemalloc.start()
+    summary = summarise(counting)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert summary.content is Content.indexed
+    assert counting.size_bytes > 0.99 * size_bytes
+    assert summary.message_count == source.chunks * MESSAGES_PER_CHUNK
+    assert counting.bytes_read <= source.index_bytes + SPARE
+    assert peak < 16_000_000
 
 
 def test_a_scan_needs_little_memory() -> None:

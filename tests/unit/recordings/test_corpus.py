@@ -42,6 +42,19 @@ LOST = {
 """Of the broken files that lost something: chunks, and messages where the file tells."""
 
 
+_AUV = ["starts-late", "stops-early"]
+ODD = {
+    "mcap/rosbag2_all_sensor_msgs_none.mcap": ["silent-topic", "silent-topic"],
+    "mcap/SO_bag/SO_bag_0.mcap": ["silent-topic", *_AUV],
+    "derived/metadata_wrong_counts/SO_bag_0.mcap": ["silent-topic", *_AUV],
+    "derived/auv_lz4.mcap": _AUV,
+    "derived/auv_zstd.mcap": _AUV,
+    "derived/auv_zstd_no_index.mcap": _AUV,
+    "derived/auv_clock_jump_back.mcap": ["starts-late", "long-gap"],
+}
+"""What is odd about whole recordings; about all others, nothing is."""
+
+
 def summarise_file(path: Path) -> RecordingSummary:
     with FileSource(path) as source:
         return summarise(source)
@@ -80,7 +93,7 @@ def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
 def test_whole_by_summary(entry: Entry, recordings_dir: Path) -> None:
     summary = summarise_file(recordings_dir / entry.name)
     assert_as_expected(summary, entry)
-    assert summary.problems == ()
+    assert [problem.code for problem in summary.problems] == ODD.get(entry.name, [])
 
 
 @pytest.mark.parametrize("entry", params(*RECORDINGS))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Connection, Fields
@@ -19,6 +20,7 @@ from kleinkram.recordings.tally import Batch
 
 _U32 = struct.Struct("<I")
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
+_OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
 
 
@@ -38,6 +40,21 @@ class BagFacts:
         if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
         self.connections[number] = connection
+
+
+class Hole(NamedTuple):
+    """Bytes of a chunk that were passed over: [start, end)."""
+
+    start: int
+    end: int
+    fault: Malformed
+
+
+class Contents(NamedTuple):
+    """What a walk through the records of a chunk came to; `end`: of the chunk, in its bytes."""
+
+    holes: list[Hole]
+    end: int
 
 
 @dataclass(frozen=True)
@@ -97,9 +114,12 @@ def _check_lengths(record: Record, where: str) -> None:
         raise Malformed(where, "a chunk info whose length does not fit its count")
 
 
-def find_record(data: bytes, start: int, end: int) -> int | None:
-    """Return the first place in [start, end) where the header of a record stands, whose field `op` is in there too."""
-    for match in _OP.finditer(data, start, end):
+def find_record(data: bytes, start: int, end: int, *, outside: bool = False) -> int | None:
+    """Return the first place in [start, end) where the header of a record stands, whose field `op` is in there too.
+
+    `outside`: only records of the kinds that stand outside of chunks.
+    """
+    for match in (_OP_OUTSIDE if outside else _OP).finditer(data, start, end):
         field_at = match.start()
         for at in range(field_at - _U32.size, max(start, field_at - _LONGEST_SEARCHED_HEADER) - 1, -1):
             header_bytes = int(_U32.unpack_from(data, at)[0])
@@ -117,31 +137,36 @@ def is_record(data: bytes, at: int) -> bool:
     return True
 
 
-def read_contents(raw: bytes, facts: BagFacts, batch: Batch) -> list[tuple[int, int, Malformed]]:
+def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool = False) -> Contents:
     """Add the messages in `raw` to the batch.
 
-    Returns:
-        What was passed over: from, to, and why.
+    `ends_early`: `raw` may reach further than the chunk does, because bytes of it are missing: it ends where a record
+    stands that no chunk holds.
     """
-    holes: list[tuple[int, int, Malformed]] = []
+    holes: list[Hole] = []
     at, end = 0, len(raw)
     while at < end:
-        at = walk(raw, at, end, facts, batch)
+        before = at
+        at, last = walk(raw, at, end, facts, batch)
         if at == end:
             break
         try:
             at = read_record(raw, at, facts, batch)
         except Malformed as fault:
-            found = find_record(raw, at + 1, end)
+            if ends_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
+                holes.append(Hole(at, at, Malformed(fault.where, "its end is missing")))
+                return Contents(holes, at)
+            # The length of the message before may be what is wrong.
+            found = find_record(raw, (last if at > before else at) + 1, end)
             after = end if found is None else found
-            holes.append((at, after, fault))
+            holes.append(Hole(at, max(at, after), fault))
             at = after
-    return holes
+    return Contents(holes, end)
 
 
-def walk(data: bytes, at: int, end: int, facts: BagFacts, batch: Batch) -> int:
-    """Pass over messages of the layout that is known."""
-    return walk_messages(data, at, end, facts.layout, batch) if facts.layout else at
+def walk(data: bytes, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
+    """Pass over messages of the layout that is known; return where that ends, and where the last of them begins."""
+    return walk_messages(data, at, end, facts.layout, batch) if facts.layout else (at, at)
 
 
 def read_record(data: bytes, at: int, facts: BagFacts, batch: Batch) -> int:

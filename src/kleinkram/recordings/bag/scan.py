@@ -8,7 +8,6 @@ index data behind each chunk say how many messages there should be.
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import contents, records
@@ -33,9 +32,9 @@ class BagScan:
     """What a scan found.
 
     Attributes:
+        chunks: that could be read from end to end.
         index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
         listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
-        chunk_starts: of the chunks that could be read, at least in part.
         refused: why nothing of the bag can be read though it may be whole.
     """
 
@@ -43,9 +42,9 @@ class BagScan:
     tally: Tally = field(default_factory=lambda: Tally(with_publish_times=False))
     losses: Losses = field(default_factory=Losses)
     compression: set[str] = field(default_factory=set)
+    chunks: int = 0
     index_start: int | None = None
     listed: int | None = None
-    chunk_starts: array[int] = field(default_factory=lambda: array("Q"))
     refused: Malformed | None = None
 
 
@@ -84,6 +83,10 @@ class _Scanner:
             if scan.index_start >= size:
                 message = f"the file is cut: its index should begin at byte {scan.index_start}, where it has ended"
             scan.losses.note(Malformed(f"byte {size}", message))
+        elif self._infos > scan.chunks + scan.losses.chunks:
+            missing = self._infos - scan.chunks - scan.losses.chunks
+            scan.losses.note(Malformed("index", f"it lists {missing} chunks more than the file holds"))
+            scan.losses.chunks += missing
 
     def _step(self) -> None:
         """Pass over one record at the top level, or over damage."""
@@ -95,7 +98,7 @@ class _Scanner:
             self._check_end(record, where)
             self._pass_record(record, where)
         except Cut as cut:
-            if record.opcode == records.CHUNK:
+            if record.opcode == records.CHUNK and not self._goes_on():
                 self._read_cut_chunk(record, cut)
             else:
                 self._resync(cut)
@@ -114,6 +117,12 @@ class _Scanner:
         if record.data_bytes > left:
             name = _NAMES.get(record.opcode, "a record")
             raise Cut(where, f"{name} of {record.data_bytes} bytes begins, but only {left} bytes follow")
+
+    def _goes_on(self) -> bool:
+        """Say whether a chunk that claims to reach beyond the end of the file is followed by something all the same."""
+        stream = self._stream
+        stream.ahead(MAX_AT_ONCE)
+        return find_record(stream.window, stream.at + 1, len(stream.window), outside=True) is not None
 
     def _pass_record(self, record: Record, where: str) -> None:
         """Read a record that is there as a whole.
@@ -139,7 +148,13 @@ class _Scanner:
             self.scan.tally.add(batch)
         elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
             self._note_index_record(record, where)
-        stream.advance(total)
+        after = stream.at + total
+        is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
+        if is_at_hand and not contents.is_record(stream.window, after):
+            damage = Malformed(f"byte {stream.position + total}", "rubbish where a record should begin")
+            self._resync(damage, believed=total)
+        else:
+            stream.advance(total)
 
     def _note_header(self, record: Record, where: str) -> None:
         if record.fields.text("encryptor", ""):
@@ -148,6 +163,10 @@ class _Scanner:
             self.scan.index_start = record.fields.u64("index_pos")
             self._connections_claimed = record.fields.u32("conn_count")
             self._chunks_claimed = record.fields.u32("chunk_count")
+        self._stream.ahead(record.end - record.start)
+        padding_at = self._stream.at + record.data_start - record.start
+        if self._stream.window[padding_at : self._stream.at + record.end - record.start].strip(b" \0"):
+            raise Malformed(where, "the bag header reaches into something else")
 
     def _note_index_record(self, record: Record, where: str) -> None:
         if record.data_bytes > MAX_TAKE:
@@ -179,29 +198,31 @@ class _Scanner:
                 stream.ahead(total + _LOOK)
                 stored = stream.window[stream.at + head_bytes : stream.at + total]
                 raw = decompress(compression, stored, uncompressed)
-                self._read_contents(raw, record.data_bytes, start)
-                stream.advance(total)
+                end = self._read_contents(raw, record.data_bytes, start, ends_early=compression == "none")
+                stream.advance(total if end == len(raw) else head_bytes + end)
         except Malformed as error:
             damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
             self._leave_chunk(start, total, scan.tally.messages - before, damage)
             return
-        scan.chunk_starts.append(start)
         partly = len(scan.losses.damage) > damaged
         scan.losses.chunks += partly
+        scan.chunks += not partly
         self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
 
-    def _read_contents(self, raw: bytes, stored: int, start: int) -> int:
-        """Add the messages of a chunk; return how many of its bytes could not be followed."""
+    def _read_contents(self, raw: bytes, stored: int, start: int, *, ends_early: bool) -> int:
+        """Add the messages of a chunk; return where in `raw` it ends."""
         scan = self.scan
         batch = Batch(scan.facts.connections)
-        holes = read_contents(raw, scan.facts, batch)
+        holes, end = read_contents(raw, scan.facts, batch, ends_early=ends_early)
         self._define()
         scan.tally.add(batch, stored=stored, uncompressed=len(raw))
-        lost = sum(to - at for at, to, _ in holes)
-        for at, _to, fault in holes:
-            scan.losses.note(Malformed(f"chunk at byte {start}", f"{fault.message} ({at} bytes into it)"))
-        scan.losses.bytes += lost * stored // len(raw) if raw else 0
-        return lost
+        for hole in holes:
+            message = f"{hole.fault.message} ({hole.start} bytes into it)"
+            scan.losses.note(Malformed(f"chunk at byte {start}", message))
+            scan.losses.bytes += (hole.end - hole.start) * stored // len(raw)
+        if end < len(raw):
+            scan.losses.messages_are_known = False
+        return end
 
     def _read_large_chunk(self, compression: str, stored: int, uncompressed: int) -> None:
         """Add the messages of a chunk that is too large to be held, from where its data begin.
@@ -224,7 +245,7 @@ class _Scanner:
         try:
             while inner.left:
                 inner.ahead(WINDOW)
-                walked = walk(inner.window, inner.at, len(inner.window), scan.facts, batch) - inner.at
+                walked = walk(inner.window, inner.at, len(inner.window), scan.facts, batch)[0] - inner.at
                 inner.advance(walked if walked else self._pass_inner(inner, batch))
                 if inner.position - flushed > _FLUSH_BYTES:
                     flushed = inner.position
@@ -284,10 +305,10 @@ class _Scanner:
             stored = stream.window[stream.at + head_bytes :]
             raw = decompress_beginning(compression, stored, uncompressed)
             batch = Batch(scan.facts.connections)
-            holes = read_contents(raw, scan.facts, batch)
+            holes, _ = read_contents(raw, scan.facts, batch)
             self._define()
             scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
-            followed = len(raw) - sum(to - at for at, to, _ in holes)
+            followed = len(raw) - sum(hole.end - hole.start for hole in holes)
             used = head_bytes + len(stored) * followed // len(raw) if followed else 0
         scan.losses.unproven += scan.tally.messages - before
         scan.losses.chunks += 1
@@ -296,13 +317,13 @@ class _Scanner:
         scan.losses.messages_are_known = False
         stream.advance(stream.left)
 
-    def _resync(self, damage: Malformed) -> None:
-        """Pass over damage, up to the next place where a record stands."""
+    def _resync(self, damage: Malformed, believed: int = 0) -> None:
+        """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""
         stream, scan = self._stream, self.scan
         self._end_chunk()
         scan.losses.note(damage)
         scan.losses.messages_are_known = False
-        start = stream.position
+        start = stream.position + believed
         stream.advance(1)
         while stream.left:
             at_hand = stream.ahead(_SEARCH_BYTES)
@@ -311,7 +332,7 @@ class _Scanner:
             stream.advance(width if found is None else found - stream.at)
             if found is not None:
                 break
-        scan.losses.bytes += stream.position - start
+        scan.losses.bytes += max(0, stream.position - start)
 
     def _end_chunk(self) -> None:
         """Compare the chunk before with its index data."""

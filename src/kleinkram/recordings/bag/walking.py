@@ -50,16 +50,16 @@ def learn_layout(data: bytes, at: int) -> MessageLayout | None:
     return MessageLayout(tuple(order), data, at) if sorted(order) == sorted(_FIELDS) else None
 
 
-def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: Batch) -> int:
+def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
 
     Returns:
-        Where that stands.
+        Where that stands, and where the last message begins; twice the same without any message.
     """
     unpack, size = layout.layout.unpack_from, layout.layout.size
     constants, expected, values = layout.constants, layout.expected, layout.values
-    last = end - size
-    while at <= last:
+    last_head, start = end - size, at
+    while at <= last_head:
         found = unpack(data, at)
         if constants(found) != expected:
             break
@@ -68,5 +68,5 @@ def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: 
         if after > end:
             break
         batch[connection].extend((seconds * 1_000_000_000 + nanoseconds, 0, after - at))
-        at = after
-    return at
+        start, at = at, after
+    return at, start

@@ -96,7 +96,7 @@ def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally
     try:
         while inner.left:
             inner.ahead(WINDOW)
-            walked = walk_messages(inner.window, inner.at, len(inner.window), batch) - inner.at
+            walked = walk_messages(inner.window, inner.at, len(inner.window), batch)[0] - inner.at
             inner.advance(walked if walked else _pass_record(inner, facts, batch))
             if inner.position - flushed > _FLUSH_BYTES:
                 flushed = inner.position
@@ -118,7 +118,7 @@ def define(facts: McapFacts, tally: Tally) -> None:
 def _walk(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
     at, end = 0, len(raw)
     while True:
-        at = walk_messages(raw, at, end, batch)
+        at, _ = walk_messages(raw, at, end, batch)
         if at == end:
             return Contents(at)
         if end - at < RECORD_HEAD.size:

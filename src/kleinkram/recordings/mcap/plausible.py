@@ -22,6 +22,7 @@ _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
+_FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
@@ -45,6 +46,12 @@ def record_end(data: bytes, at: int, left: int) -> int | None:
     return body + length if needed == length else None
 
 
+def stands_outside_chunks(data: bytes, at: int, left: int) -> bool:
+    """Say whether a record stands there of a kind that no chunk holds."""
+    inside = (records.SCHEMA, records.CHANNEL, records.MESSAGE)
+    return record_end(data, at, left) is not None and data[at] not in inside
+
+
 def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
     """Say what is wrong with a record that stands where one should; None: it can be followed."""
     if opcode == 0:
@@ -56,7 +63,8 @@ def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
         needed = check(data, at + RECORD_HEAD.size, length)
     except struct.error:
         needed = None
-    if needed is None or needed > length:
+    # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
+    if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     return None
 
@@ -64,21 +72,33 @@ def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
 def find_record(data: bytes, start: int, end: int, left: int, channels: Container[int]) -> int | None:
     """Return the first place in [start, end) where a record stands.
 
-    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it; those of a message are too
-    few, so it must be of one of the `channels`, and another record must follow.
+    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
+    few: another record must follow, and several if it is of none of the `channels`.
     """
     for match in _CANDIDATE.finditer(data, start, end):
         at = match.start()
-        still = left - (at - start)
-        after = record_end(data, at, still)
+        after = record_end(data, at, left - (at - start))
         if after is None:
             continue
         if data[at] != records.MESSAGE:
             return at
         (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
-        if channel_id in channels and (still == after - at or record_end(data, after, still - (after - at))):
+        needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_STRANGER
+        if _is_followed(data, after, left - (after - start), needed):
             return at
     return None
+
+
+def _is_followed(data: bytes, at: int, left: int, records_needed: int) -> bool:
+    """Say whether so many records follow, or fewer up to the end of the file."""
+    for _ in range(records_needed):
+        if left == 0:
+            return True
+        after = record_end(data, at, left)
+        if after is None:
+            return False
+        at, left = after, left - (after - at)
+    return True
 
 
 def _counted(data: bytes, at: int) -> int:

@@ -15,7 +15,7 @@ from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, records
-from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, record_end
+from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
@@ -73,6 +73,12 @@ class _Scanner:
                 Malformed("channels", f"{nameless} messages are on channels that the file does not define")
             )
             scan.losses.messages += nameless
+        claimed = scan.facts.statistics
+        is_believed = claimed is not None and not scan.losses.damage and not scan.losses.index_faults
+        if claimed is not None and is_believed and claimed.messages > scan.tally.messages:
+            missing = claimed.messages - scan.tally.messages
+            scan.losses.note(Malformed("statistics", f"they say {missing} messages more than the file holds"))
+            scan.losses.messages += missing
         if stream.left:
             self._give_up(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
         return scan
@@ -81,10 +87,11 @@ class _Scanner:
         """Pass over some messages, over one other record, or over damage."""
         stream = self._stream
         stream.ahead(LOOK)
-        walked = walk_messages(stream.window, stream.at, len(stream.window), self._loose) - stream.at
-        if walked:
+        after, last = walk_messages(stream.window, stream.at, len(stream.window), self._loose)
+        if after > stream.at:
             self._end_chunk()
-            self._pass_loose(walked)
+            self._pass_loose(last - stream.at)
+            self._pass(after - last)
             return
         where = f"byte {stream.position}"
         if stream.left < RECORD_HEAD.size:
@@ -135,12 +142,13 @@ class _Scanner:
             self._pass_data_end(total, where)
         elif opcode == records.MESSAGE:
             chunks.read_large_message(stream, self._loose)
-            self._pass_loose(total)
+            self._pass_loose(0)
+            self._pass(total)
         else:
             if opcode in _READERS:
                 body = stream.window[body_at : body_at + min(length, WINDOW)]
                 _READERS[opcode](self.scan.facts, body, where)
-            stream.advance(total)
+            self._pass(total)
 
     def _pass_chunk(self, total: int) -> None:
         stream, scan = self._stream, self.scan
@@ -188,7 +196,8 @@ class _Scanner:
         scan.losses.chunks += 1
         if stream.position == start and stream.left > total:
             after = stream.at + total
-            if after < len(stream.window) and record_end(stream.window, after, stream.left - total) is None:
+            is_at_hand = after < len(stream.window)
+            if is_at_hand and not stands_outside_chunks(stream.window, after, stream.left - total):
                 self._resync(damage)
                 return
         self.scan.losses.note(damage)
@@ -265,6 +274,27 @@ class _Scanner:
             self._listed.settle(self.scan.losses)
             self._listed = None
 
+    def _pass(self, total: int) -> None:
+        """Pass over a record. Where none can begin behind it, its length is doubted: the search begins inside it."""
+        stream = self._stream
+        after = stream.at + total
+        wrong = self._wrong_at(after)
+        if wrong is None:
+            stream.advance(total)
+        else:
+            self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
+
+    def _wrong_at(self, at: int) -> str | None:
+        """Say why no record can begin at a place in the window; None where one can, or where it is not at hand."""
+        stream = self._stream
+        left = stream.left - (at - stream.at)
+        if at + min(LOOK, left) > len(stream.window) or left < RECORD_HEAD.size:
+            return None
+        opcode, length = RECORD_HEAD.unpack_from(stream.window, at)
+        if length > left - RECORD_HEAD.size and opcode != records.CHUNK:
+            return "a record that reaches beyond the end of the file"
+        return fault(stream.window, at, opcode, length)
+
     def _pass_loose(self, length: int) -> None:
         """Pass over messages outside of chunks that are in the batch already."""
         self._stream.advance(length)
@@ -277,13 +307,13 @@ class _Scanner:
         self.scan.tally.add(self._loose)
         self._loose, self._loose_bytes = Batch(self.scan.facts.channels), 0
 
-    def _resync(self, damage: Malformed) -> None:
-        """Pass over damage, up to the next place where a record stands."""
+    def _resync(self, damage: Malformed, believed: int = 0) -> None:
+        """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""
         stream, scan = self._stream, self.scan
         self._end_chunk()
         self.scan.losses.note(damage)
         scan.losses.messages_are_known = False
-        start = stream.position
+        start = stream.position + believed
         stream.advance(1)
         while stream.left:
             at_hand = stream.ahead(_SEARCH_BYTES)
@@ -292,7 +322,7 @@ class _Scanner:
             stream.advance(width if found is None else found - stream.at)
             if found is not None:
                 break
-        scan.losses.bytes += stream.position - start
+        scan.losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, used: int = 0) -> None:
         """Leave out the rest of the file, all but the first `used` bytes of which are lost."""

@@ -68,7 +68,8 @@ def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSu
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
     found += tell_lateness(scan.tally.lateness)
-    content, lost = _content(scan), scan.losses.total(claimed=claimed.messages if claimed else None, found=messages)
+    stated = claimed.messages if claimed is not None and not scan.losses.index_faults else None
+    content, lost = _content(scan), scan.losses.total(claimed=stated, found=messages)
     reason = None if content is Content.indexed else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
     summary = _summary(content, reason, scan.facts, scan.tally.timeline, found)
     return replace(summary, depth=Depth.scan, lost=lost)

@@ -11,19 +11,19 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
 
 
-def walk_messages(data: bytes, at: int, end: int, batch: Batch) -> int:
+def walk_messages(data: bytes, at: int, end: int, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
 
     Returns:
-        Where that stands.
+        Where that stands, and where the last message begins; twice the same without any message.
     """
     unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
-    last = end - size
-    while at <= last:
+    last_head, start = end - size, at
+    while at <= last_head:
         opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
         after = at + 9 + length
         if opcode != MESSAGE or after > end or length < fixed:
             break
         batch[channel_id].extend((log_time, publish_time, after - at))
-        at = after
-    return at
+        start, at = at, after
+    return at, start

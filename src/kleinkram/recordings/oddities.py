@@ -1,0 +1,77 @@
+"""What is odd about the topics of a readable recording: sensors that died, started late, or never spoke.
+
+Only what a person would want to be told. A topic with one or two messages (latched, static) is never late or early, and
+one that speaks rarely has long pauses by nature: a silence counts from ten of the topic's own periods on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from kleinkram.recordings.model import Problem, TopicSummary
+
+_LEAST_MESSAGES = 10
+_PERIODS = 10
+_PERIODS_FOR_GAPS = 50
+_LEAST_SILENCE_NS = 5_000_000_000
+_SHARE_OF_SPAN = 10
+_MOST_OF_A_KIND = 3
+_MOST_NAMED = 5
+_OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
+"""Topics that speak when something happens, and are silent in the best of recordings."""
+
+
+def name_oddities(topics: Iterable[TopicSummary], span_ns: int | None) -> list[Problem]:
+    """Return what is odd, of each kind at most a few. `span_ns`: of the whole recording."""
+    silent, late, early, gaps = [], [], [], []
+    for topic in topics:
+        if topic.name in _OF_ROS_ITSELF:
+            continue
+        if not topic.count:
+            silent.append(Problem("silent-topic", topic.name, "it is defined, but has no message"))
+        elif span_ns is not None and topic.rate_hz is not None and topic.count >= _LEAST_MESSAGES:
+            late += _starts_late(topic, topic.rate_hz, span_ns)
+            early += _stops_early(topic, topic.rate_hz, span_ns)
+            gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
+    return [*gathered(silent), *gathered(late), *gathered(early), *gathered(gaps)]
+
+
+def _starts_late(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
+    if not _is_long(topic.head_gap_ns, rate_hz, span_ns, _PERIODS):
+        return []
+    return [Problem("starts-late", topic.name, f"its first message comes {_s(topic.head_gap_ns)} late")]
+
+
+def _stops_early(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
+    if not _is_long(topic.tail_gap_ns, rate_hz, span_ns, _PERIODS):
+        return []
+    message = f"its last message comes {_s(topic.tail_gap_ns)} before the end of the recording"
+    return [Problem("stops-early", topic.name, message)]
+
+
+def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
+    if not _is_long(topic.longest_gap_ns, rate_hz, span_ns, _PERIODS_FOR_GAPS):
+        return []
+    message = f"it is silent for {_s(topic.longest_gap_ns)} in between, at {rate_hz:.3g} Hz on average"
+    return [Problem("long-gap", topic.name, message)]
+
+
+def gathered(problems: Sequence[Problem]) -> list[Problem]:
+    """Put what is said of more than a few topics into one problem."""
+    if len(problems) <= _MOST_OF_A_KIND:
+        return list(problems)
+    first = problems[0]
+    others = ", ".join(problem.where for problem in problems[1 : _MOST_NAMED + 1])
+    more = ", ..." if len(problems) > _MOST_NAMED + 1 else ""
+    message = f"{first.where}: {first.message}; likewise {others}{more}"
+    return [Problem(first.code, f"{len(problems)} topics", message)]
+
+
+def _is_long(silence_ns: int | None, rate_hz: float, span_ns: int, periods: int) -> bool:
+    if silence_ns is None:
+        return False
+    return silence_ns > max(periods * 1e9 / rate_hz, _LEAST_SILENCE_NS, span_ns // _SHARE_OF_SPAN)
+
+
+def _s(time_ns: int | None) -> str:
+    return f"{(time_ns or 0) / 1e9:.1f} s"

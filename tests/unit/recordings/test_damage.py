@@ -1,0 +1,196 @@
+"""Damage anywhere: a scan never raises, finds every message that the damage did not touch, and measures the rest."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from io import BytesIO
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kleinkram.recordings import Content, RecordingSummary
+from kleinkram.recordings.bag.writer import BagCompression, BagWriter
+from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.summary import scan
+
+from .memory_source import MemorySource
+
+T0 = 1_700_000_000_000_000_000
+MESSAGES = 120
+TOPICS = ("/imu", "/image", "/tf")
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole recording, and where its chunks stand: start, end, and messages of each."""
+
+    name: str
+    data: bytes
+    chunks: tuple[tuple[int, int, int], ...]
+
+
+def payload(number: int) -> bytes:
+    """Bytes that do not compress away, and that look like no record."""
+    return bytes((number * 37 + i * i) % 251 for i in range(60))
+
+
+def make_mcap(compression: Compression) -> Whole:
+    out = BytesIO()
+    writer = McapWriter(out, compression=compression, chunk_bytes=1_500)
+    channels = [writer.add_channel(topic, writer.add_schema("T", "ros2msg", b"int8 x"), "cdr") for topic in TOPICS]
+    for number in range(MESSAGES):
+        stamp = T0 + number * 1_000_000
+        writer.add_message(channels[number % 3], stamp, payload(number), publish_time_ns=stamp)
+    writer.finish()
+    data = out.getvalue()
+    return Whole(f"{compression.name}.mcap", data, tuple(mcap_chunks(data)))
+
+
+def mcap_chunks(data: bytes) -> list[tuple[int, int, int]]:
+    """Return the chunks by a plain walk; the message indexes behind each tell its messages."""
+    found: list[tuple[int, int, int]] = []
+    at = len(records.MAGIC)
+    while data[at] != records.DATA_END:
+        opcode, length = records.RECORD_HEAD.unpack_from(data, at)
+        end = at + records.RECORD_HEAD.size + length
+        if opcode == records.CHUNK:
+            found.append((at, end, 0))
+        elif opcode == records.MESSAGE_INDEX:
+            start, chunk_end, messages = found.pop()
+            found.append((start, chunk_end, messages + (length - 6) // 16))
+        at = end
+    return found
+
+
+def make_unchunked() -> Whole:
+    """An MCAP whose messages stand outside of chunks: each is a chunk of its own, as far as damage goes."""
+    definitions = record(records.SCHEMA, struct.pack("<HI", 1, 1) + b"T" + struct.pack("<I", 7) + b"ros2msg" + bytes(4))
+    for number, topic in enumerate(TOPICS):
+        name = topic.encode()
+        body = struct.pack("<HHI", number, 1, len(name)) + name + struct.pack("<I", 3) + b"cdr" + bytes(4)
+        definitions += record(records.CHANNEL, body)
+    out = records.MAGIC + record(records.HEADER, bytes(8)) + definitions
+    places = []
+    for number in range(MESSAGES):
+        stamp = T0 + number * 1_000_000
+        message = record(records.MESSAGE, struct.pack("<HIQQ", number % 3, number, stamp, stamp) + payload(number))
+        places.append((len(out), len(out) + len(message), 1))
+        out += message
+    out += record(records.DATA_END, bytes(4))
+    footer = struct.pack("<QQI", len(out), 0, 0)
+    out += definitions + record(records.FOOTER, footer) + records.MAGIC
+    return Whole("unchunked.mcap", out, tuple(places))
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return records.RECORD_HEAD.pack(opcode, len(body)) + body
+
+
+def make_bag(compression: BagCompression) -> Whole:
+    out = BytesIO()
+    writer = BagWriter(out, compression=compression, chunk_bytes=1_500)
+    connections = [writer.add_connection(topic, "a/B", md5sum="*", definition="int8 x") for topic in TOPICS]
+    counts: list[int] = []
+    starts: list[int] = []
+    before = 0
+    for number in range(MESSAGES):
+        position = out.tell()
+        writer.add_message(connections[number % 3], T0 + number * 1_000_000, payload(number))
+        if out.tell() != position:
+            starts.append(position)
+            counts.append(number + 1 - before)
+            before = number + 1
+    starts.append(out.tell())
+    counts.append(MESSAGES - before)
+    writer.finish()
+    data = out.getvalue()
+    ends = [start + chunk_bytes(data, start) for start in starts]
+    return Whole(f"{compression.value}.bag", data, tuple(zip(starts, ends, counts, strict=True)))
+
+
+def chunk_bytes(data: bytes, start: int) -> int:
+    (head,) = struct.unpack_from("<I", data, start)
+    (body,) = struct.unpack_from("<I", data, start + 4 + head)
+    return 8 + int(head) + int(body)
+
+
+MADE = [*map(make_mcap, Compression), *map(make_bag, BagCompression), make_unchunked()]
+WHOLE = {whole.name: whole for whole in MADE}
+NAMES = st.sampled_from(sorted(WHOLE))
+PLACES = st.floats(0, 1)
+
+
+def scanned(data: bytes, name: str) -> RecordingSummary:
+    return scan(from_source(MemorySource(data, name)))
+
+
+def untouched(whole: Whole, start: int, end: int) -> int:
+    """Messages of the chunks that [start, end) does not touch."""
+    return sum(messages for first, last, messages in whole.chunks if last <= start or end <= first)
+
+
+def assert_measured(summary: RecordingSummary, whole: Whole, readable: int) -> None:
+    assert summary.message_count is not None
+    assert readable <= summary.message_count <= MESSAGES
+    assert summary.content in (Content.indexed, Content.recovered, Content.broken)
+    assert (summary.content is Content.indexed) == (summary.reason is None)
+    if summary.content is Content.broken:
+        assert summary.message_count == 0
+    if summary.lost is not None:
+        assert 0 <= summary.lost.bytes <= len(whole.data)
+        assert 0 <= summary.lost.chunks <= len(whole.chunks)
+        if summary.lost.messages is not None:
+            assert summary.lost.messages + summary.message_count == MESSAGES
+
+
+@pytest.mark.parametrize("name", sorted(WHOLE))
+def test_undamaged(name: str) -> None:
+    whole = WHOLE[name]
+    summary = scanned(whole.data, whole.name)
+    assert (summary.content, summary.message_count, summary.lost) == (Content.indexed, MESSAGES, None)
+    assert summary.problems == ()
+    assert sum(messages for _, _, messages in whole.chunks) == MESSAGES
+
+
+@given(NAMES, PLACES, st.integers(1, 4096))
+@settings(max_examples=2500, deadline=None)
+def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
+    whole = WHOLE[name]
+    start = 13 + int(place * (len(whole.data) - 14))
+    end = min(len(whole.data), start + length)
+    damaged = whole.data[:start] + bytes(end - start) + whole.data[end:]
+    assert_measured(scanned(damaged, whole.name), whole, untouched(whole, start, end))
+
+
+@given(NAMES, PLACES, st.integers(1, 4096))
+@settings(max_examples=2500, deadline=None)
+def test_a_sector_cut_out(name: str, place: float, length: int) -> None:
+    whole = WHOLE[name]
+    start = 13 + int(place * (len(whole.data) - 14))
+    end = min(len(whole.data), start + length)
+    damaged = whole.data[:start] + whole.data[end:]
+    assert_measured(scanned(damaged, whole.name), whole, untouched(whole, start, end))
+
+
+@given(NAMES, PLACES)
+@settings(max_examples=250, deadline=None)
+def test_a_cut_anywhere(name: str, place: float) -> None:
+    whole = WHOLE[name]
+    start = 13 + int(place * (len(whole.data) - 14))
+    summary = scanned(whole.data[:start], whole.name)
+    assert summary.content is not Content.indexed
+    assert_measured(summary, whole, untouched(whole, start, len(whole.data)))
+
+
+@given(NAMES, PLACES, st.integers(0, 7))
+@settings(max_examples=2500, deadline=None)
+def test_a_flipped_bit(name: str, place: float, bit: int) -> None:
+    whole = WHOLE[name]
+    at = 13 + int(place * (len(whole.data) - 14))
+    damaged = bytearray(whole.data)
+    damaged[at] ^= 1 << bit
+    assert_measured(scanned(bytes(damaged), whole.name), whole, untouched(whole, at, at + 1))
