@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 
+from kleinkram.recordings import Problem
+
 T0 = 1_700_000_000_000_000_000
 MESSAGES = (
     "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
@@ -66,3 +68,8 @@ def make_database(
 def steady(count: int, *, size: int = 200, topics: int = 2) -> list[tuple[object, object, object]]:
     """Return messages every 10 ms, by turns on each topic."""
     return [(number % topics + 1, T0 + number * 10_000_000, bytes([number % 251]) * size) for number in range(count)]
+
+
+def faults(problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems of files, without what is odd about the behaviour of topics (`oddities`)."""
+    return [one for one in problems if one.code not in ("silent-topic", "starts-late", "stops-early", "long-gap")]

@@ -13,7 +13,7 @@ from kleinkram.recordings.forward import FileForward
 from kleinkram.recordings.rosbag2.db3 import scan_db3
 
 from .corpus import Entry, params
-from .databases import SCHEMAS, T0, make_database, steady
+from .databases import SCHEMAS, T0, faults, make_database, steady
 
 
 def scan_file(path: Path, depth: Depth = Depth.scan) -> RecordingSummary:
@@ -38,7 +38,7 @@ def test_real_databases(entry: Entry, depth: Depth, recordings_dir: Path) -> Non
     summary = scan_file(recordings_dir / entry.name, depth)
     expected = entry.expected
     assert (summary.format, summary.content, summary.reason) == (RecordingFormat.rosbag2_db3, Content.indexed, None)
-    assert (summary.message_count, summary.problems, summary.lost) == (expected["messages"], (), None)
+    assert (summary.message_count, faults(summary.problems), summary.lost) == (expected["messages"], [], None)
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
     found = [(t.name, t.message_type, t.count, t.message_encoding) for t in summary.topics]
     assert found == sorted((t["topic"], t["type"], t["count"], t.get("encoding", "")) for t in expected["topics"])

@@ -13,6 +13,7 @@ from kleinkram.recordings import (
     Depth,
     FileSource,
     Lost,
+    Problem,
     RecordingFormat,
     RecordingSummary,
     TopicSummary,
@@ -120,6 +121,16 @@ def test_a_folder_shows_each_recording_inside(tmp_path: Path) -> None:
     ]
     with FileSource(mission.files[0].path) as source:
         assert found[0].summary == summarise(source)
+
+
+def test_a_topic_that_rests_in_one_member_is_not_odd_in_the_whole() -> None:
+    """Each file of a split begins late for somebody; only the whole can say whether a sensor died."""
+    odd = Problem("stops-early", "/t", "its last message comes 60.0 s before the end of the recording")
+    silent = Problem("silent-topic", "/t", "it is defined, but has no message")
+    told = Problem("damaged", "byte 5", "its checksum is wrong")
+    one, two = member(T0, T0 + 100), member(T0 + 200, T0 + 300)
+    whole = combine([replace(one, problems=(odd, told)), replace(two, problems=(silent,))])
+    assert whole.problems == (told,)
 
 
 def test_the_plain_shape(tmp_path: Path) -> None:

@@ -105,6 +105,17 @@ def test_broken_files_give_what_is_readable(entry: Entry, recordings_dir: Path) 
     assert stamps == sorted(stamps)
 
 
+def test_cut_database(recordings_dir: Path) -> None:
+    """Every message whose pages are there, with its bytes, in order."""
+    whole, _ = read(recordings_dir / "ros2-db3/vicon_test6")
+    others, _ = read(recordings_dir / "ros2-db3/vicon_standard2")
+    messages, problems = read(recordings_dir / "derived/cut_vicon.db3")
+    assert len(messages) == 3604
+    assert set(messages) <= {*whole, *others}
+    assert [stamp for _, stamp, _ in messages] == sorted(stamp for _, stamp, _ in messages)
+    assert {problem.code for problem in problems} == {"damaged"}
+
+
 def test_empty_file(recordings_dir: Path) -> None:
     with pytest.raises(NotARecording, match="0 bytes"):
         Recording.open(recordings_dir / "broken/zero_length.bag")

@@ -157,3 +157,22 @@ def test_no_bytes_are_read_beyond_a_bound() -> None:
     out.write(records.RECORD_HEAD.pack(records.MESSAGE, 2**63))
     out.write(bytes(100))
     assert read_all(out.getvalue(), "huge.mcap") == (0, 2)
+
+
+def test_a_database_with_a_page_of_rubbish_gives_the_others(tmp_path: Path) -> None:
+    """SQLite stumbles in the middle; what comes behind is recovered, nothing twice, and all in order."""
+    generate_db3(tmp_path / "drive", duration_s=1, size_bytes=300_000)
+    path = tmp_path / "drive" / "drive_0.db3"
+    with Recording.open(path) as recording:
+        whole = [(m.topic, m.log_time_ns, m.data) for m in recording.raw_messages()]
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2 // 4096 * 4096
+    data[middle : middle + 4096] = b"\xee" * 4096
+    path.write_bytes(data)
+    with Recording.open(path) as recording:
+        left = [(m.topic, m.log_time_ns, m.data) for m in recording.raw_messages()]
+        assert recording.problems
+    assert len(whole) > len(left) > len(whole) // 2
+    assert len(set(left)) == len(left)
+    assert left == sorted(left, key=lambda message: message[1])
+    assert left[-1] == whole[-1]
