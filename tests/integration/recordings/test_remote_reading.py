@@ -33,9 +33,9 @@ def _drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def _local(path: Path, **wanted: int) -> list[RawMessage]:
+def _local(path: Path, *, start: int | None = None, end: int | None = None) -> list[RawMessage]:
     with Recording.open(path) as recording:
-        return list(recording.raw_messages(**wanted))
+        return list(recording.raw_messages(start=start, end=end))
 
 
 def _same(found: list[RawMessage], expected: list[RawMessage]) -> bool:

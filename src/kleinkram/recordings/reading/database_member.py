@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import sqlite3
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.reading.chunked import MAX_MESSAGE
 from kleinkram.recordings.reading.definitions import MAX_DEFINITIONS
-from kleinkram.recordings.reading.member import Contents
-from kleinkram.recordings.reading.merging import Block, Piece, Run
+from kleinkram.recordings.reading.member import Contents, Member
+from kleinkram.recordings.reading.merging import Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.rosbag2.database import check_tables, columns, open_database, read_topics
@@ -37,12 +37,16 @@ _Row = tuple[object, object, object]
 class DatabaseMember:
     """A database, its channels being the rows of `topics`."""
 
-    def __init__(self, path: Path, name: str, noticed: Noticed, *, message_compression: str = "") -> None:
-        """Read what the database says of itself; what is wrong with it is noted.
+    def __init__(
+        self, path: Path, name: str, noticed: Noticed, recover: Callable[[], Member], *, message_compression: str = ""
+    ) -> None:
+        """Read what the database says of itself; `recover` opens what is left of it, should it be damaged.
 
         Raises:
             SourceError: the file cannot be opened.
         """
+        self._recover = recover
+        self._recovered: Member | None = None
         self._path = path
         self._name = name
         self._noticed = noticed
@@ -55,10 +59,13 @@ class DatabaseMember:
                 channels = _read_channels(database, message_compression)
                 self.contents = _contents(database, channels, has_index=self._has_index)
         except (sqlite3.Error, Malformed) as error:
-            self._note(error)
+            self.contents = self._rescue(error).contents
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield the database as one piece that is read as it goes."""
+        if self._recovered is not None:
+            yield from self._recovered.pieces(selection, order)
+            return
         wanted = {
             number: channel
             for number, channel in self.contents.channels.items()
@@ -72,26 +79,40 @@ class DatabaseMember:
         """Do nothing: no connection outlives a pass."""
 
     def _blocks(self, wanted: dict[int, Channel], selection: Selection) -> Iterator[Block]:
+        """Yield the messages by SQLite; should it stumble, those behind from what can be recovered."""
+        latest_ns, of_latest = selection.start_ns, 0
+        try:
+            for block in self._by_sqlite(wanted, selection):
+                of_latest = of_latest if block[-1].log_time_ns == latest_ns else 0
+                latest_ns = block[-1].log_time_ns
+                of_latest += sum(message.log_time_ns == latest_ns for message in block)
+                yield block
+        except sqlite3.Error as error:
+            rest = self._rescue(error).pieces(selection._replace(start_ns=latest_ns), ())
+            for block in merge(rest):
+                seen = sum(message.log_time_ns == latest_ns for message in block[:of_latest])
+                of_latest -= seen
+                if block[seen:]:
+                    yield block[seen:]
+
+    def _by_sqlite(self, wanted: dict[int, Channel], selection: Selection) -> Iterator[Block]:
         block: Block = []
         size = 0
-        try:
-            with open_database(self._path) as database:
-                if sys.version_info >= (3, 11):
-                    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_MESSAGE)
-                for topic_id, timestamp, data in self._rows(database, wanted, selection):
-                    channel = wanted.get(topic_id) if isinstance(topic_id, int) else None
-                    if channel is None or not isinstance(timestamp, int):
-                        continue
-                    if not isinstance(data, bytes):
-                        self._noticed.add("damaged-message", channel.topic, "left out: its data are too large, or none")
-                        continue
-                    block.append(RawMessage(channel.topic, timestamp, timestamp, 0, data, channel))
-                    size += len(data)
-                    if size > _BLOCK_BYTES or len(block) >= _BLOCK_ROWS:
-                        yield block
-                        block, size = [], 0
-        except sqlite3.Error as error:
-            self._note(error)
+        with open_database(self._path) as database:
+            if sys.version_info >= (3, 11):
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_MESSAGE)
+            for topic_id, timestamp, data in self._rows(database, wanted, selection):
+                channel = wanted.get(topic_id) if isinstance(topic_id, int) else None
+                if channel is None or not isinstance(timestamp, int):
+                    continue
+                if not isinstance(data, bytes):
+                    self._noticed.add("damaged-message", channel.topic, "left out: its data are too large, or none")
+                    continue
+                block.append(RawMessage(channel.topic, timestamp, timestamp, 0, data, channel))
+                size += len(data)
+                if size > _BLOCK_BYTES or len(block) >= _BLOCK_ROWS:
+                    yield block
+                    block, size = [], 0
         if block:
             yield block
 
@@ -106,8 +127,11 @@ class DatabaseMember:
         for (number,) in database.execute(_BY_NUMBERS, span):
             yield from database.execute(_ONE, (number,))
 
-    def _note(self, error: Exception) -> None:
-        self._noticed.add("damaged", self._name, f"the database cannot be read further: {error}")
+    def _rescue(self, error: Exception) -> Member:
+        self._noticed.add("damaged", self._name, f"SQLite cannot read it ({error}); what is left of it is read")
+        if self._recovered is None:
+            self._recovered = self._recover()
+        return self._recovered
 
 
 def _has_index(database: sqlite3.Connection) -> bool:

@@ -65,7 +65,7 @@ class ChunkedMember:
         """Do nothing: whoever opened the source closes it."""
 
 
-_MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records)
+MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records)
 _BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records)
 
 
@@ -79,7 +79,7 @@ def open_mcap(source: Source, noticed: Noticed, *, message_compression: str = ""
     channels = index.definitions.resolve(message_compression)
     start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, _MCAP, index.table, channels, noticed), contents)
+    return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents)
 
 
 def open_bag(source: Source, noticed: Noticed) -> ChunkedMember:

@@ -18,6 +18,7 @@ from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.reading.member import Member, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.recovered_member import open_recovered
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import sniff
@@ -106,7 +107,12 @@ class _Opener:
     def _open_database(self, file: _File) -> Member:
         name = file.source.name
         path = file.path or self._copy(SourceForward(file.source).read, name)
-        return DatabaseMember(path, name, self.noticed, message_compression=self.message_compression)
+        compression = self.message_compression
+
+        def recover() -> Member:
+            return open_recovered(path, name, self.noticed, self.stack, message_compression=compression)
+
+        return DatabaseMember(path, name, self.noticed, recover, message_compression=compression)
 
     def _unpack(self, source: Source) -> _File:
         """Decompress a file that is compressed as a whole; if that is damaged, up to there."""
