@@ -1,0 +1,72 @@
+"""Rows about scanning recordings, and about summaries of very large ones; all sides of a row run in turn."""
+
+import os
+import statistics
+from pathlib import Path
+
+from benchmarks.measure import Run, run_side
+from kleinkram.recordings.sample import generate_bag
+
+ROUNDS = int(os.environ.get("KLEINKRAM_BENCH_ROUNDS", "3"))
+_SIDES = "benchmarks.scan_sides"
+_MB = 1_000_000
+_GB = 1_000_000_000
+
+Row = dict[str, object]
+
+
+def scan_mcap_row(path: Path) -> Row:
+    """Every record and every CRC of an MCAP in zstd chunks."""
+    return _scan_row(path, ["scan_ours", "scan_mcap", "scan_small_mcap"], least_mb_s=250)
+
+
+def scan_bag_row(path: Path) -> Row:
+    """Every record of a bag in lz4 chunks, made beside `path`, and the checksums of its chunks."""
+    bag = path.with_suffix(".bag")
+    if not bag.exists():
+        generate_bag(bag, size_bytes=_GB, seed=2)
+    return _scan_row(bag, ["scan_ours", "scan_rosbags"], least_mb_s=0)
+
+
+def synthetic_row(_path: Path) -> Row:
+    """Summaries of 10 GB and 1 TB, of which nothing but the index exists."""
+    costs = []
+    for size_bytes in (10 * _GB, 1000 * _GB):
+        run = run_side("summary_synthetic", str(size_bytes), environment={}, module=_SIDES)
+        costs.append((run.seconds, run.facts["bytes_read"] / _MB, run.facts["index_bytes"] / _MB, run.peak_mb))
+    told = (f"{s:.1f} s, {read:.1f} MB of {index:.1f} MB index, {peak:.0f} MB" for s, read, index, peak in costs)
+    return {
+        "what": "summary of a synthetic 10 GB MCAP; of 1 TB (read; memory)",
+        "measured": "; ".join(told),
+        "bar": "<= index + 1 MB, <= 100 MB of memory",
+        "met": all(read <= index + 1 and peak <= 100 for _seconds, read, index, peak in costs),
+    }
+
+
+def _scan_row(path: Path, names: list[str], *, least_mb_s: int) -> Row:
+    runs = _rounds(names, path)
+    if len({run.facts["messages"] for side in runs.values() for run in side}) != 1:
+        raise SystemExit(f"the sides found different numbers of messages in {path.name}")
+    size_mb = path.stat().st_size / _MB
+    speeds = {name: size_mb / statistics.median(run.seconds for run in side) for name, side in runs.items()}
+    ours, peak = speeds["scan_ours"], max(run.peak_mb for run in runs["scan_ours"])
+    fastest = max(names[1:], key=speeds.__getitem__)
+    least = f">= {least_mb_s} MB/s, " if least_mb_s else ""
+    return {
+        "what": f"scan of a {size_mb / 1000:.1f} GB {path.suffix[1:]} with all checksums",
+        "measured": f"{ours:.0f} MB/s (fastest other: {fastest}, {speeds[fastest]:.0f} MB/s)",
+        "also": f"{peak:.0f} MB (bar 200)",
+        "bar": f"{least}>= the fastest public reader",
+        "met": ours >= max(least_mb_s, speeds[fastest]) and peak <= 200,
+        "mb_per_s": speeds,
+    }
+
+
+def _rounds(names: list[str], path: Path) -> dict[str, list[Run]]:
+    """Run each side as often as every other, in an order that turns."""
+    runs: dict[str, list[Run]] = {name: [] for name in names}
+    for number in range(ROUNDS):
+        shift = number % len(names)
+        for name in names[shift:] + names[:shift]:
+            runs[name].append(run_side(name, str(path), environment={}, module=_SIDES))
+    return runs
