@@ -84,7 +84,9 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
 
     with standing_before(settings.s3_internal_url) as middleman:
         middleman.rule = hold_second_range
-        with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url) as worker:
+        # Proving reads the content too: so slowly that it does not come to its end.
+        slowly = {"KLEINKRAM_PROVING_BYTES_PER_S": "10000"}
+        with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url, **slowly) as worker:
             assert reading.wait(30), "nobody began to read"
             readers = psutil.Process(worker.pid).children()
             assert readers, "recordings are read in a child"

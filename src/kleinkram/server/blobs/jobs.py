@@ -1,21 +1,26 @@
 """Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted."""
 
-import asyncio
-import hashlib
 import logging
-import time
 import uuid
 
-from awscrt.checksums import crc64nvme
 from procrastinate import JobContext
 from sqlalchemy import Row
 from sqlalchemy.exc import DataError, IntegrityError
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.contract.files import BlobState
+from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.contract.names import file_name
-from kleinkram.recordings import FailureKind, RecordingSummary, SummaryFailed, UrlRequest, request_bytes
+from kleinkram.recordings import (
+    FailureKind,
+    RecordingSummary,
+    StreamRequest,
+    SummaryFailed,
+    UrlRequest,
+    request_bytes,
+    stream_request_bytes,
+)
 from kleinkram.server.blobs import service
+from kleinkram.server.blobs.proving import Found, read_through
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
@@ -27,6 +32,10 @@ from kleinkram.server.trash.emptying import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 _SWEEP_BATCH = 1000
+# A recording without an index must be read whole. Up to here that happens at once; the proof reads all of it anyway.
+_SUMMARY_MOST_BYTES = 64 * 1024 * 1024
+# Slower than any machine that we know reads the slowest format.
+_SCAN_BYTES_PER_S = 5_000_000
 
 
 @queue.task(name=Job.summarise_blob.value, retry=PATIENTLY, pass_context=True)
@@ -36,7 +45,7 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     blob_id = uuid.UUID(ref)
     async with site.database.begin() as db:
         row = await service.get_blob(db, blob_id)
-    if row is None or row.path is None or row.store_id != site.settings.store_id:
+    if row is None or row.path is None or row.store_id != site.settings.store_id or row.depth == ReadDepth.scan:
         return
     await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
     try:
@@ -47,11 +56,15 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
         async with site.database.begin() as db:
             await service.keep_failure(db, blob_id, str(failure))
         return
+    await _keep_summary(site, blob_id, summary)
+
+
+async def _keep_summary(site: Site, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
     try:
         async with site.database.begin() as db:
             await service.keep_summary(db, blob_id, summary)
     except (DataError, IntegrityError) as error:  # a file may say what no column holds
-        _log.error("summary not kept", extra={"fields": {"blob_id": ref, "reason": str(error.orig)}})
+        _log.error("summary not kept", extra={"fields": {"blob_id": str(blob_id), "reason": str(error.orig)}})
         async with site.database.begin() as db:
             await service.keep_failure(db, blob_id, "what it says of itself does not fit into the database")
 
@@ -61,6 +74,7 @@ async def _summary(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -
     url = site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
     request = request_bytes(
         UrlRequest(url, row.size_bytes, file_name(row.path)),
+        most_bytes=_SUMMARY_MOST_BYTES,
         memory_bytes=site.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),
     )
@@ -69,7 +83,10 @@ async def _summary(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -
 
 @queue.task(name=Job.prove_blob.value, retry=PATIENTLY, pass_context=True)
 async def prove_blob(context: JobContext, ref: str) -> None:
-    """Read a blob once, at a limited rate, and compare it with what was stated of it when it came."""
+    """Read a blob once, at a limited rate, and compare it with what was stated of it when it came.
+
+    A child process without credentials reads along, and says what the whole of a recording holds.
+    """
     site = site_of(context)
     blob_id = uuid.UUID(ref)
     async with site.database.begin() as db:
@@ -78,7 +95,7 @@ async def prove_blob(context: JobContext, ref: str) -> None:
         return
     await courtesy_of(context).give_way(PROOF_PATIENCE_S, since=row.created_at)
     try:
-        found = await _read_through(site, row.key)
+        found, scan = await _read(site, given(context, "readers", Readers), row)
     except FileNotFoundError:
         await _keep_damage(site, blob_id, BlobState.lost, "the store no longer has the object")
         return
@@ -94,45 +111,32 @@ async def prove_blob(context: JobContext, ref: str) -> None:
         return
     async with site.database.begin() as db:
         await service.keep_proof(db, blob_id, md5=found.md5)
+    if isinstance(scan, RecordingSummary):
+        await _keep_summary(site, blob_id, scan)
+    elif scan is not None:
+        _log.warning("not scanned", extra={"fields": {"blob_id": ref, "reason": str(scan)}})
+        async with site.database.begin() as db:
+            await service.keep_failure(db, blob_id, str(scan))
 
 
-class _Found:
-    """What reading an object through found."""
-
-    def __init__(self, size_bytes: int, sha256: bytes, md5: bytes, crc: int) -> None:
-        self.size_bytes = size_bytes
-        self.sha256 = sha256
-        self.md5 = md5
-        self.crc64nvme = crc.to_bytes(8, "big")
-
-    def differs_from(self, row: Row[tuple[object, ...]]) -> str | None:
-        """Say how it differs from what was kept, or None."""
-        if self.size_bytes != row.size_bytes:
-            return f"it has {self.size_bytes} bytes, and came with {row.size_bytes}"
-        if row.crc64nvme is not None and self.crc64nvme != row.crc64nvme:
-            return f"its CRC-64/NVME is {self.crc64nvme.hex()}, and was {row.crc64nvme.hex()} when it came"
-        if self.sha256 != row.sha256:
-            return f"its sha256 is {self.sha256.hex()}, and was {row.sha256.hex()} by the word of its uploader"
-        return None
-
-
-async def _read_through(site: Site, key: str) -> _Found:
-    sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
-    started = time.monotonic()
-    async for piece in site.storage.read(key):
-        size_bytes += len(piece)
-
-        crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
-        ahead_s = size_bytes / site.settings.proving_bytes_per_s - (time.monotonic() - started)
-        if ahead_s > 0:
-            await asyncio.sleep(ahead_s)
-    return _Found(size_bytes, sha256.digest(), md5.digest(), crc)
-
-
-def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: int) -> int:
-    sha256.update(piece)
-    md5.update(piece)
-    return int(crc64nvme(piece, crc))
+async def _read(
+    site: Site, readers: Readers, row: Row[tuple[object, ...]]
+) -> tuple[Found, RecordingSummary | SummaryFailed | None]:
+    """Read a blob through. What reading along failed at is no reason to doubt the bytes."""
+    if row.path is None or row.content == ContentState.opaque or row.depth == ReadDepth.scan:
+        return await read_through(site, row.key), None
+    patience_s = site.settings.summary_timeout_s
+    request = stream_request_bytes(
+        StreamRequest(row.size_bytes, file_name(row.path)),
+        memory_bytes=site.settings.summary_memory_bytes,
+        timeout_s=round(patience_s) + row.size_bytes // _SCAN_BYTES_PER_S,
+    )
+    async with readers.reading_along(request, owner=row.uploaded_by_id, patience_s=patience_s) as child:
+        found = await read_through(site, row.key, child.feed)
+        try:
+            return found, await child.summary()
+        except SummaryFailed as failure:
+            return found, failure
 
 
 async def _keep_damage(site: Site, blob_id: uuid.UUID, state: BlobState, reason: str) -> None:

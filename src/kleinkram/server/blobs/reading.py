@@ -6,7 +6,9 @@ only, so that whoever sends a hostile file could at most falsify what is said of
 
 import asyncio
 import contextlib
+import os
 import uuid
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 from typing_extensions import Self
@@ -15,6 +17,8 @@ from kleinkram.recordings import CHILD_COMMAND, CHILD_ENVIRONMENT, RecordingSumm
 
 _FILES_EACH = 100
 _IDLE_S = 1.0
+# Where a database may be copied to be read; everything else of ours stays out of it.
+_ENVIRONMENT = CHILD_ENVIRONMENT | {name: os.environ[name] for name in ("TMPDIR",) if name in os.environ}
 # The summary of a recording with some ten thousand topics is a few megabytes of JSON.
 _ANSWER_LIMIT_BYTES = 64 * 1024 * 1024
 
@@ -46,6 +50,47 @@ class _Reader:
         with contextlib.suppress(ProcessLookupError):
             self.process.kill()
         await self.process.communicate()
+
+
+class ReadingAlong:
+    """A child that is given the bytes of one recording by somebody who reads them anyway.
+
+    A child that dies meanwhile is no concern of the feeder: only `summary` says so.
+    """
+
+    def __init__(self, reader: _Reader, patience_s: float) -> None:
+        self._reader = reader
+        self._patience_s = patience_s
+        self._is_gone = False
+        self.answered = False
+
+    async def feed(self, piece: bytes) -> None:
+        """Give it the next bytes; waits while it is busy with those before."""
+        stdin = self._reader.process.stdin
+        if self._is_gone or stdin is None:
+            return
+        try:
+            stdin.write(piece)
+            await asyncio.wait_for(stdin.drain(), self._patience_s)
+        except (ConnectionError, asyncio.TimeoutError):
+            self._is_gone = True
+
+    async def summary(self) -> RecordingSummary:
+        """Return what it found, once it was given all that was announced.
+
+        Raises:
+            SummaryFailed: it ran out of memory or time, or crashed.
+        """
+        stdout = self._reader.process.stdout
+        try:
+            line = await asyncio.wait_for(stdout.readline(), self._patience_s) if stdout is not None else b""
+            if not line:
+                stderr, code = await asyncio.wait_for(self._reader.last_words(), self._patience_s)
+                return read_answer(b"", stderr, code)
+        except asyncio.TimeoutError:
+            raise timed_out() from None
+        self.answered = True
+        return read_answer(line, b"", 0)
 
 
 class Readers:
@@ -85,6 +130,25 @@ class Readers:
         await self._keep(reader)
         return summary
 
+    @contextlib.asynccontextmanager
+    async def reading_along(
+        self, request: bytes, *, owner: uuid.UUID, patience_s: float
+    ) -> AsyncIterator[ReadingAlong]:
+        """Have a child read along with whoever feeds it the bytes that `request` announces."""
+        reader = await self._waiting_for(owner) or await _start(owner)
+        reader.files += 1
+        along = ReadingAlong(reader, patience_s)
+        try:
+            await along.feed(request + b"\n")
+            yield along
+        except BaseException:
+            await reader.end()
+            raise
+        if along.answered:
+            await self._keep(reader)
+        else:
+            await reader.end()
+
     async def _waiting_for(self, owner: uuid.UUID) -> _Reader | None:
         for reader in self._idle:
             if reader.owner == owner:
@@ -118,7 +182,7 @@ async def _start(owner: uuid.UUID) -> _Reader:
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        env=CHILD_ENVIRONMENT,
+        env=_ENVIRONMENT,
         limit=_ANSWER_LIMIT_BYTES,
     )
     return _Reader(process, owner)

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, select, update
 
-from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
@@ -60,7 +60,11 @@ async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
 
 
 async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
-    """Keep what the range read said of a blob, in place of what was known before."""
+    """Keep what reading a blob said, in place of what was known before. What a scan said stays."""
+    locked = select(blob.c.depth).where(blob.c.id == blob_id).with_for_update()
+    known = (await db.execute(locked)).scalar_one_or_none()
+    if known == ReadDepth.scan.value and summary.depth.value != known:
+        return
     await db.execute(delete(topic).where(topic.c.blob_id == blob_id))
     rows = [_topic_values(blob_id, each) for each in summary.topics]
     if rows:
@@ -107,9 +111,10 @@ def _bigint(value: int | None) -> int | None:
 
 
 async def keep_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
-    """Keep that we failed to read a blob, and why."""
+    """Keep that we failed to read a blob, and why; what was read of it before stays."""
     values = {"content": ContentState.error.value, "content_reason": fit(reason), "summarised_at": func.now()}
-    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+    unknown = blob.c.content.in_((ContentState.pending.value, ContentState.error.value))
+    await db.execute(update(blob).where(blob.c.id == blob_id, unknown).values(**values))
     await _regroup_missions(db, blob_id)
 
 
