@@ -67,19 +67,20 @@ def house(tmp_path: Path) -> Iterator[House]:
 
 def _require_ip() -> None:
     if os.geteuid() != 0:
-        _missing("a second machine is made of a network namespace, which only root may make")
+        missing("a second machine is made of a network namespace, which only root may make")
     if shutil.which("ip") is None and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
         subprocess.run(["apt-get", "install", "-y", "iproute2"], check=True, capture_output=True)
     if shutil.which("ip") is None:
-        _missing("`ip` is not installed (Debian: iproute2): KLEINKRAM_TEST_INSTALL=1 installs it")
+        missing("`ip` is not installed (Debian: iproute2): KLEINKRAM_TEST_INSTALL=1 installs it")
     trial = f"klein-trial-{os.getpid()}"
     allowed = subprocess.run(["ip", "netns", "add", trial], check=False, capture_output=True, text=True)
     if allowed.returncode != 0:
-        _missing(f"network namespaces are not allowed here: {allowed.stderr.strip()}")
+        missing(f"network namespaces are not allowed here: {allowed.stderr.strip()}")
     _ip("netns", "delete", trial)
 
 
-def _missing(what: str) -> None:
+def missing(what: str) -> None:
+    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
     if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
         pytest.fail(what)
     pytest.skip(what)

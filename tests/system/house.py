@@ -31,6 +31,7 @@ class House:
     home: Path
     options: list[str] = field(default_factory=list)
     settings: dict[str, str] = field(default_factory=dict)
+    inside: tuple[str, ...] = ()  # what it runs inside of: the beginning of the command line
     process: "subprocess.Popen[bytes] | None" = None
     port: int = field(default_factory=choose_port)
     s3_port: int = field(default_factory=choose_port)
@@ -47,7 +48,7 @@ class House:
 
     def start(self) -> None:
         """Run `klein up` and wait for its line."""
-        command = [str(KLEIN), "up", "--data-dir", str(self.data_dir), "--port", str(self.port)]
+        command = [*self.inside, str(KLEIN), "up", "--data-dir", str(self.data_dir), "--port", str(self.port)]
         command += ["--s3-port", str(self.s3_port), *self.options]
         said = self.home / "up.out"
         with said.open("wb") as out, (self.home / "up.err").open("ab") as err:

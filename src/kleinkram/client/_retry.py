@@ -15,9 +15,14 @@ class Backoff:
     """
 
     def __init__(self, patience_s: float, wait: Callable[[float], object] = time.sleep) -> None:
-        self._ends_at = time.monotonic() + patience_s
+        self._began_at = time.monotonic()
+        self._ends_at = self._began_at + patience_s
         self._next_s = FIRST_WAIT_S
         self._wait = wait
+
+    def lasting_s(self) -> float:
+        """Return for how long it has been tried."""
+        return time.monotonic() - self._began_at
 
     def pause(self, at_least_s: float = 0.0) -> bool:
         """Wait before the next try; return False, without waiting, when patience has run out."""

@@ -19,7 +19,7 @@ from kleinkram.client.transfer._fetching import Fetching
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._place import make_folders, regular_size
 from kleinkram.client.transfer._source import SLICE_BYTES
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, GetAnswer, StoreDoor
+from kleinkram.client.transfer._store import PATIENCE_S, Answer, GetAnswer, StoreDoor, Trouble
 from kleinkram.client.transfer.destination import Target
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
@@ -60,6 +60,7 @@ class Downloader:
         self._stop = Stop()
         self._pace = pace
         self._watcher = watcher
+        self._trouble = Trouble(watcher.said)
         self._overwrite = overwrite
         self._ended = ended
         self._under_way = Budget(self._stop, _FILES_UNDER_WAY)
@@ -188,6 +189,7 @@ class Downloader:
             if reached > offset:
                 offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
             elif answer.answer in {Answer.taken, Answer.try_again}:
+                self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
                     raise self._gave_up(fetching, answer)
             elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
@@ -216,7 +218,7 @@ class Downloader:
     def _gave_up(self, fetching: Fetching, answer: GetAnswer) -> KleinkramError:
         if answer.error is not None:
             return store_unreachable(fetching.link.url, answer.error)
-        return TransferFailed(path=fetching.link.path, reason=answer.reason or "the store sends nothing")
+        return TransferFailed(path=fetching.link.path, reason=answer.why)
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 

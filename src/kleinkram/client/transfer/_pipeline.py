@@ -17,7 +17,7 @@ from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._sending import Part, Sending
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, PutAnswer, StoreDoor
+from kleinkram.client.transfer._store import PATIENCE_S, Answer, PutAnswer, StoreDoor, Trouble
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -56,6 +56,7 @@ class Pipeline:
         self._stop = stop
         self._pace = pace
         self._watcher = watcher
+        self._trouble = Trouble(watcher.said)
         self._ended = ended
         self._ahead = Budget(stop, AHEAD_BYTES)
         self._under_way = Budget(stop, _FILES_UNDER_WAY)
@@ -201,6 +202,7 @@ class Pipeline:
             if answer.answer is Answer.gone:
                 raise UploadGone(upload_id=str(part.sending.upload.id))
             if answer.answer is Answer.try_again:
+                self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
                     raise self._gave_up(signed.url, part, answer)
             else:

@@ -5,15 +5,20 @@ Knows nothing of uploads or files. One pool of connections, shared by the thread
 
 import enum
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import cast
 
 import urllib3
 
+from kleinkram.client._http import reason_of
+from kleinkram.client._retry import Backoff
+
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 120.0
 PATIENCE_S = 240.0
+_WORTH_SAYING_S = 5.0
 
 _GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
 _CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
@@ -37,6 +42,32 @@ class PutAnswer:
     etag: str = ""
     reason: str = ""
     error: BaseException | None = None
+
+    @property
+    def why(self) -> str:
+        """Why it was not taken, in words."""
+        return reason_of(self.error) if self.error else self.reason
+
+
+class Trouble:
+    """Says, once in a transfer, that the store keeps it waiting, and why. Shared by the threads of the transfer."""
+
+    def __init__(self, said: Callable[[str], None]) -> None:
+        self._said = said
+        self._is_said = False
+        self._lock = threading.Lock()
+
+    def note(self, backoff: Backoff, reason: str) -> None:
+        """Hear of one more failed try; what passes by itself in seconds is not worth a word."""
+        if backoff.lasting_s() < _WORTH_SAYING_S:
+            return
+        with self._lock:
+            first, self._is_said = not self._is_said, True
+        if first:
+            self._said(
+                f"waiting for the store, which is away or full ({reason}): goes on by itself if that ends within "
+                f"{PATIENCE_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong"
+            )
 
 
 class StoreDoor:
@@ -98,6 +129,11 @@ class GetAnswer:
         self.error = error
         self._response = response
         self._slice_bytes = slice_bytes
+
+    @property
+    def why(self) -> str:
+        """Why it gave nothing, or not all, in words."""
+        return reason_of(self.error) if self.error else self.reason or "it sends nothing"
 
     def slices(self) -> Iterator[bytes]:
         """Yield the bytes.
