@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import struct
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
+from kleinkram.recordings import (
+    Content,
+    Depth,
+    FileSource,
+    RecordingFormat,
+    RecordingSummary,
+    parse_rosbag2_metadata,
+    summarise,
+)
 from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap.writer import McapWriter
 from kleinkram.recordings.other.describe import describe
@@ -130,6 +139,21 @@ def test_a_flight_log_with_rubbish_at_its_end(tail: bytes) -> None:
     assert (summary.content, summary.message_count) == (Content.recovered, 1)
     assert summary.reason
     assert summary.lost is not None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mutations_never_raise(seed: int, recordings_dir: Path) -> None:
+    """Bytes of real files exchanged at random; a longer run than this found what the tests above keep."""
+    chosen = random.Random(seed)
+    names = ("other/px4_sample.ulg", "trajectories/euroc_MH_04_vislam_ba0.tum", "ros2-db3/event_camera/metadata.yaml")
+    for name in (*names, "mcap/diagnostics_rosout_ros2.mcap.zstd", "trajectories/expected-evo-1.38.1.json"):
+        data = bytearray((recordings_dir / name).read_bytes()[:30_000])
+        for _ in range(chosen.choice((1, 5, 50))):
+            data[chosen.randrange(len(data))] = chosen.randrange(256)
+        summary = scan(from_source(MemorySource(bytes(data), name)))
+        assert summary.depth is Depth.scan
+        assert summary.content is not Content.error
+        parse_rosbag2_metadata(bytes(data).decode("utf-8", "replace"))
 
 
 def test_a_trajectory_with_faults() -> None:
