@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from plots import plots
 from pydantic_core import PydanticUndefined
 
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
@@ -29,6 +30,7 @@ def main() -> int:
         _HERE / "openapi.json": openapi(),
         _HERE / "reference" / "cli.md": cli_reference(),
         _HERE / "reference" / "settings.md": settings_reference(),
+        **{_HERE / "plots" / name: text for name, text in plots().items()},
     }
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if "--check" in sys.argv:
