@@ -29,6 +29,7 @@ def file_read(path: str, *, mission: str = "day", project: str = "alps", content
         "created_at": NOW,
         "compression": [],
         "problems": [],
+        "facts": [],
     }
     return FileRead.model_validate(given)
 
