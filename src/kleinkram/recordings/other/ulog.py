@@ -1,7 +1,8 @@
 """PX4 flight logs (ULog): topics, counts, times, by one pass over the message heads.
 
 Times are those of the autopilot's clock, which starts at boot: nanoseconds since then. A log begins with the latest
-message of each topic, published before; its log time is that of the beginning.
+message of each topic, published before; its log time is that of the beginning. The autopilot announces everything that
+may speak: topics are those that did.
 
 Source: docs.px4.io, ULog File Format (version 1).
 """
@@ -155,8 +156,6 @@ def _flush(log: _Log, timeline: Timeline) -> None:
 
 
 def _summary(log: _Log, timeline: Timeline, ended: Malformed | None, left: int) -> RecordingSummary:
-    for name in log.types:
-        timeline.topic(name)
     measured = measure(timeline, log.types)
     reason, content = None, Content.indexed
     if ended is not None:
@@ -175,7 +174,7 @@ def _summary(log: _Log, timeline: Timeline, ended: Malformed | None, left: int) 
         problems=bounded([*_problems(log), *measured.problems]),
         depth=Depth.scan,
         lost=Lost(max(left, 0), 0, None) if ended is not None else None,
-        facts=tuple(_facts(log)),
+        facts=(*_facts(log), Fact("topics_without_message", len(log.types) - len(measured.topics))),
     )
 
 
