@@ -62,9 +62,10 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
         return Decoder(name, message_encoding, protobuf_decode(name, data), None)
     if message_encoding == "cdr" and not data:
         text = well_known_definition(name)
-        if text is None:
+        if text is None and not schema_encoding:
             return Undecodable(name, "the recording holds no definition of it, and it is none of the common types")
-        schema_encoding, data = "ros2msg", text.encode()
+        if text is not None:
+            schema_encoding, data = "ros2msg", text.encode()
     parse = _PARSERS.get((message_encoding, schema_encoding))
     if parse is None:
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"

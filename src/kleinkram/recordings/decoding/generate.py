@@ -57,6 +57,8 @@ def generate(root: Struct, wire: Wire) -> Decode:
         writer.struct(root)
         writer.flush()
     else:
+        # An empty definition may be one that the recorder did not have: then there are bytes that it does not explain.
+        writer.line(f"if size > {wire.start + 4}: fail(data, o, None)")
         writer.line(f"v0 = {writer.constant('c', value_class(root))}()")
     source = _HEAD.format(start=wire.start, objects=MAX_OBJECTS, body="\n".join(writer.lines))
     exec(compile(source, f"<decoder of {root.name[:80]}>", "exec"), writer.namespace)  # noqa: S102  # see the docstring
@@ -64,8 +66,8 @@ def generate(root: Struct, wire: Wire) -> Decode:
     return decode
 
 
-def _fail_for(name: str) -> Callable[[bytes, int, Exception], NoReturn]:
-    def fail(data: bytes, offset: int, error: Exception) -> NoReturn:
+def _fail_for(name: str) -> Callable[[bytes, int, Exception | None], NoReturn]:
+    def fail(data: bytes, offset: int, error: Exception | None) -> NoReturn:
         raise DecodeError(name, f"the {len(data)} bytes end too early or are no such message", offset=offset) from error
 
     return fail

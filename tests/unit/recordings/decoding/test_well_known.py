@@ -12,7 +12,7 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from kleinkram.recordings.decoding import Decoder, Undecodable, decoder_for, to_plain
+from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for, to_plain
 from kleinkram.recordings.decoding.schema import Array, Primitive, Struct, Type
 from kleinkram.recordings.decoding.well_known import NAMES
 
@@ -55,9 +55,17 @@ def test_a_recordings_own_definition_goes_first() -> None:
     own = decoder_for("cdr", "std_msgs/msg/String", "ros2msg", b"int32 data")
     assert isinstance(own, Decoder)
     assert to_plain(own.decode(b"\0\1\0\0" + struct.pack("<i", 5))) == {"data": 5}
-    unknown = decoder_for("cdr", "vicon_receiver/msg/Position", "ros2msg", b"")
+    unknown = decoder_for("cdr", "vicon_receiver/msg/Position", "", b"")
     assert isinstance(unknown, Undecodable)
     assert "holds no definition" in unknown.reason
+
+
+def test_an_empty_definition_explains_only_empty_messages() -> None:
+    found = decoder_for("cdr", "vicon_receiver/msg/Position", "ros2msg", b"")
+    assert isinstance(found, Decoder)
+    assert to_plain(found.decode(b"\0\1\0\0\0\0\0\0")) == {}
+    with pytest.raises(DecodeError, match="no such message"):
+        found.decode(b"\0\1\0\0" + bytes(24))
 
 
 def test_a_database_without_definitions_is_decoded(recordings_dir: Path) -> None:
