@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from kleinkram.recordings.assemble import bounded, rate_hz
 from kleinkram.recordings.model import Content, Depth, Lost, Problem, RecordingSummary, TopicSummary
+from kleinkram.recordings.oddities import name_oddities
 from kleinkram.recordings.timeline import Run, bulk, join, within
 
 _WORST_FIRST = (
@@ -20,6 +21,8 @@ _WORST_FIRST = (
 )
 _READABLE = (Content.indexed, Content.recovered)
 _MOST_FACTS = 100
+_OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-gap"))
+"""Problems that a member has by being one of several; looked for again in the whole."""
 
 
 def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
@@ -40,6 +43,7 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
     if len(summaries) == 1:
         return summaries[0]
     island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
+    topics = _combine_topics(summaries, island)
     first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
     return RecordingSummary(
         format=first.format,
@@ -49,8 +53,14 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
         compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
-        topics=_combine_topics(summaries, island),
-        problems=bounded([*(problem for one in summaries for problem in one.problems), *_changed_types(summaries)]),
+        topics=topics,
+        problems=bounded(
+            [
+                *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
+                *_changed_types(summaries),
+                *name_oddities(topics, island.last_ns - island.first_ns if island else None),
+            ]
+        ),
         library=first.library,
         profile=first.profile,
         attachments=sum(summary.attachments for summary in summaries),
