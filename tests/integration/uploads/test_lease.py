@@ -86,6 +86,9 @@ def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
         wait_until(lambda: bool(watcher.heard))
+        # Leases are told to the second: a renewal within the same one would not be seen.
+        late = "SELECT lease_ends_at - now() < interval '2.5 s' FROM upload WHERE id = %s"
+        wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])
         send(api, alive, theirs)  # asking where to send renews the lease
         result = sending.result(30)
     assert (result.outcome, type(result.error)) == (Outcome.refused, NameLeased)
