@@ -13,6 +13,7 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.stream import ForwardStream, Refill
 
+Buffer = bytes | memoryview
 ReadUpTo = Callable[[int], bytes]
 
 
@@ -33,14 +34,14 @@ def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> For
     raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
 
 
-def decompress(name: str, stored: bytes, uncompressed_bytes: int) -> bytes:
+def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
     """Decompress a chunk as a whole; `name` as MCAP or a bag spells it.
 
     Raises:
         Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
     """
     if name in ("", "none"):
-        raw = stored
+        raw = bytes(stored)
     elif name == "zstd":
         raw = _zstd_at_once(stored, uncompressed_bytes)
     elif name in _AT_ONCE:
@@ -72,7 +73,7 @@ def _beginning_of(stream: ForwardStream) -> bytes:
     return b"".join(pieces)
 
 
-def _zstd_at_once(stored: bytes, uncompressed_bytes: int) -> bytes:
+def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
     try:
         claimed = zstandard.frame_content_size(stored)
         if claimed == uncompressed_bytes:
@@ -80,12 +81,12 @@ def _zstd_at_once(stored: bytes, uncompressed_bytes: int) -> bytes:
     except zstandard.ZstdError as error:
         raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
     # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
-    pieces = [stored]
+    pieces = [bytes(stored)]
     stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
     return b"".join(iter(stream.take_any, b""))
 
 
-def _lz4_at_once(stored: bytes, uncompressed_bytes: int) -> tuple[bytes, bool]:
+def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
     decompressor = lz4.frame.LZ4FrameDecompressor()
     try:
         # One byte more than claimed, so that the end mark and its checksum are read, too.
@@ -95,7 +96,7 @@ def _lz4_at_once(stored: bytes, uncompressed_bytes: int) -> tuple[bytes, bool]:
     return raw, decompressor.eof
 
 
-def _bz2_at_once(stored: bytes, uncompressed_bytes: int) -> tuple[bytes, bool]:
+def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
     decompressor = bz2.BZ2Decompressor()
     try:
         raw = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)

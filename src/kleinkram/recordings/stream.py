@@ -163,15 +163,17 @@ def open_bytes(data: bytes, start: int) -> ForwardStream:
 
 
 class Lookahead:
-    """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed.
+    """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed,
+    if it is asked to.
 
     Attributes:
         window: bytes at hand; those before `at` are passed.
         at: in the window, of the next byte.
     """
 
-    def __init__(self, forward: Forward) -> None:
+    def __init__(self, forward: Forward, *, with_crc: bool = True) -> None:
         self._forward = forward
+        self._with_crc = with_crc
         self.size_bytes = forward.size_bytes
         self.window = b""
         self.at = 0
@@ -235,7 +237,8 @@ class Lookahead:
         self._crc, self._hashed = 0, self.at
 
     def _refill(self, need: int) -> None:
-        self.crc()
+        if self._with_crc:
+            self.crc()
         pieces = [self.window[self.at :]]
         have = len(pieces[0])
         while have < need:

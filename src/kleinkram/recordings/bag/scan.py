@@ -51,7 +51,7 @@ class BagScan:
 class _Scanner:
     def __init__(self, forward: Forward) -> None:
         self.scan = BagScan()
-        self._stream = Lookahead(forward)
+        self._stream = Lookahead(forward, with_crc=False)
         self._chunk: ListedChunk | None = None
         self._connections_claimed = self._chunks_claimed = 0
         self._infos = 0
@@ -196,7 +196,7 @@ class _Scanner:
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
-                stored = stream.window[stream.at + head_bytes : stream.at + total]
+                stored = memoryview(stream.window)[stream.at + head_bytes : stream.at + total]
                 raw = decompress(compression, stored, uncompressed)
                 end = self._read_contents(raw, record.data_bytes, start, ends_early=compression == "none")
                 stream.advance(total if end == len(raw) else head_bytes + end)
@@ -239,7 +239,9 @@ class _Scanner:
             left -= len(piece)
             return piece
 
-        inner = Lookahead(Decompressed(open_decompressed(compression, read, uncompressed), uncompressed))
+        inner = Lookahead(
+            Decompressed(open_decompressed(compression, read, uncompressed), uncompressed), with_crc=False
+        )
         batch = Batch(scan.facts.connections)
         flushed = 0
         try:

@@ -6,7 +6,7 @@ import struct
 import zlib
 from typing import NamedTuple
 
-from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
+from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning, open_decompressed
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.mcap import records
@@ -55,7 +55,7 @@ def read_chunk_head(data: bytes, at: int) -> ChunkHead:
     return ChunkHead(name, uncompressed, crc, data_at - at + RECORD_HEAD.size, stored)
 
 
-def read_chunk(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
     """Add the messages of a whole chunk to the batch.
 
     Raises:

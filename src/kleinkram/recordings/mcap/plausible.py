@@ -22,6 +22,7 @@ _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
+_FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
@@ -52,11 +53,16 @@ def stands_outside_chunks(data: bytes, at: int, left: int) -> bool:
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
-def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
-    """Say what is wrong with a record that stands where one should; None: it can be followed."""
-    if opcode == 0:
-        return "only zeros or rubbish where a record should begin"
+def fault(data: bytes, at: int, left: int) -> str | None:
+    """Say what is wrong with a record that stands where one should; None: it can be followed.
+
+    `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
+    we do, or by another of a private kind.
+    """
+    opcode, length = RECORD_HEAD.unpack_from(data, at)
     check = _NEEDED.get(opcode)
+    if opcode == 0 or (check is None and not _is_unknown_kind(data, at, length, left)):
+        return "only zeros or rubbish where a record should begin"
     if check is None or opcode == records.MESSAGE:
         return None
     try:
@@ -67,6 +73,15 @@ def fault(data: bytes, at: int, opcode: int, length: int) -> str | None:
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     return None
+
+
+def _is_unknown_kind(data: bytes, at: int, length: int, left: int) -> bool:
+    after, left = at + RECORD_HEAD.size + length, left - RECORD_HEAD.size - length
+    if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
+        return left >= 0
+    opcode, following = RECORD_HEAD.unpack_from(data, after)
+    is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
+    return is_private or record_end(data, after, left) is not None
 
 
 def find_record(data: bytes, start: int, end: int, left: int, channels: Container[int]) -> int | None:

@@ -112,7 +112,7 @@ class _Scanner:
 
     def _check(self, opcode: int, length: int, where: str) -> None:
         stream = self._stream
-        wrong = fault(stream.window, stream.at, opcode, length)
+        wrong = fault(stream.window, stream.at, stream.left)
         if wrong:
             raise Malformed(where, wrong)
         left = stream.left - RECORD_HEAD.size
@@ -183,7 +183,7 @@ class _Scanner:
             return None
         stream.ahead(total + LOOK)
         batch = Batch(scan.facts.channels)
-        stored = stream.window[stream.at + head.data_start : stream.at + total]
+        stored = memoryview(stream.window)[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         chunks.define(scan.facts, scan.tally)
         scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
@@ -293,7 +293,7 @@ class _Scanner:
         opcode, length = RECORD_HEAD.unpack_from(stream.window, at)
         if length > left - RECORD_HEAD.size and opcode != records.CHUNK:
             return "a record that reaches beyond the end of the file"
-        return fault(stream.window, at, opcode, length)
+        return fault(stream.window, at, left)
 
     def _pass_loose(self, length: int) -> None:
         """Pass over messages outside of chunks that are in the batch already."""
