@@ -31,6 +31,7 @@ MAX_MESSAGE = 64 * 2**20
 MAX_AHEAD = 32 * 2**20
 """Bytes of chunks that are fetched and decompressed ahead."""
 
+_AHEAD_ON_DISK = 8 * 2**20
 _LEAST_WORKERS = 2
 _GROUP_BYTES = 4 * 2**20
 _HEAD_BYTES = 4096
@@ -101,7 +102,8 @@ class _Reader:
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
         jobs = self._jobs(numbers, together=parallel > 1)
-        for group in do_ahead(jobs, workers=max(_LEAST_WORKERS, parallel), most_bytes=MAX_AHEAD):
+        most_bytes = MAX_AHEAD if parallel > 1 else _AHEAD_ON_DISK
+        for group in do_ahead(jobs, workers=max(_LEAST_WORKERS, parallel), most_bytes=most_bytes):
             yield from group
 
     def _jobs(self, numbers: Iterable[int], *, together: bool) -> Iterator[Job[list[Loaded]]]:
