@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.measure import Run, pair, run_side
+from benchmarks.readings import raw_row, remote_row
 from benchmarks.scans import scan_bag_row, scan_mcap_row, synthetic_row
 from kleinkram.recordings.sample import generate_mcap
 
@@ -61,7 +62,15 @@ def side(name: str, *arguments: str | Path) -> Run:
     return run_side(name, *map(str, arguments), environment={}, module="benchmarks.recording_sides")
 
 
-ROWS: tuple[Callable[[Path], Row], ...] = (scan_mcap_row, scan_bag_row, synthetic_row, decode_row, arrow_row)
+ROWS: tuple[Callable[[Path], Row], ...] = (
+    scan_mcap_row,
+    scan_bag_row,
+    synthetic_row,
+    decode_row,
+    arrow_row,
+    raw_row,
+    remote_row,
+)
 
 
 def main() -> None:
