@@ -53,7 +53,7 @@ class Lost:
     """What of a damaged file cannot be read.
 
     Attributes:
-        bytes: of the file, that belong to nothing readable.
+        bytes: of the file (of what is inside, where it is compressed as a whole), that belong to nothing readable.
         chunks: begun or indexed, of which nothing or not everything could be read.
         messages: how many are lost; None where nothing in the file tells.
     """

@@ -53,7 +53,8 @@ def value_class(struct: Struct) -> type[Value]:
 @lru_cache(maxsize=4096)
 def _class(name: str, fields: tuple[str, ...], constants: Constants) -> type[Value]:
     own = {"__slots__": fields, "_type": name, "_fields": fields, "_constants": constants, "__module__": __name__}
-    return type(name.rpartition("/")[2] or "Value", (Value,), {**dict(constants), **own})
+    short = name.rpartition("/")[2]
+    return type(short if short.isidentifier() else "Value", (Value,), {**dict(constants), **own})
 
 
 def _rebuild(name: str, fields: tuple[str, ...], constants: Constants, values: tuple[object, ...]) -> Value:

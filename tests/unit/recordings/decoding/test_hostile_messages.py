@@ -147,3 +147,10 @@ def test_a_message_never_becomes_more_than_a_million_objects(message_encoding: s
     head = b"\0\1\0\0" if message_encoding == "cdr" else b""
     with pytest.raises(DecodeError, match="claimed"):
         found.decode(head + struct.pack("<I", 4000) + bytes(4_000_000))
+
+
+@pytest.mark.parametrize("name", ["pkg/a\x00b", "pkg/", "pkg/two words", "pkg/\udcff"])
+def test_a_type_whose_name_is_none(name: str) -> None:
+    found = decoder_for("ros1", name, "ros1msg", b"int8 x")
+    assert isinstance(found, Decoder)
+    assert to_plain(found.decode(b"\x07")) == {"x": 7}
