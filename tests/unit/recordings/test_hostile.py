@@ -8,7 +8,7 @@ from io import BytesIO
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, RecordingFormat, RecordingSummary, summarise
+from kleinkram.recordings import Content, Fact, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
 from kleinkram.recordings.bag.writer import BagWriter
 from kleinkram.recordings.mcap import records
@@ -287,3 +287,27 @@ def test_an_empty_file_says_so() -> None:
 
 def test_only_the_magic_of_a_bag() -> None:
     assert summarise_bytes(BAG_MAGIC, "a.bag").content is Content.broken
+
+
+def test_private_records_are_passed_over() -> None:
+    private = record(0x80, b"x" * 40) + record(0xFF, b"")
+    data = mcap_of(private + chunk(b"", private, len(private)) + private)
+    assert (summarise_bytes(data).content, summarise_bytes(data).message_count) == (Content.indexed, 0)
+
+
+def test_attachments_and_metadata_are_listed() -> None:
+    name = struct.pack("<I", 3) + b"cal"
+    attachment = record(records.ATTACHMENT, bytes(16) + name + bytes(4) + struct.pack("<Q", 5) + b"12345" + bytes(4))
+    metadata = record(records.METADATA, name + bytes(4))
+    summary = summarise_bytes(mcap_of(attachment * 300 + metadata))
+    assert (summary.content, summary.attachments, summary.metadata_records) == (Content.indexed, 300, 1)
+    assert summary.facts[0] == Fact("attachment", "cal (of no type, 5 bytes)")
+    assert len(summary.facts) == 100
+
+
+def test_an_attachment_with_a_wrong_checksum_is_told() -> None:
+    attachment = record(records.ATTACHMENT, bytes(24) + struct.pack("<Q", 5) + b"12345" + b"\1\2\3\4")
+    summary = summarise_bytes(mcap_of(attachment))
+    assert (summary.content, summary.attachments) == (Content.recovered, 1)
+    assert summary.reason is not None
+    assert "attachment" in summary.reason
