@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kleinkram.recordings.combining import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
+    from kleinkram.recordings.forward import Forward, from_file, from_pipe, from_source
     from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from kleinkram.recordings.serialise import from_dict, to_dict
     from kleinkram.recordings.sniffing import sniff
     from kleinkram.recordings.sources import CountingSource, FileSource, Source
-    from kleinkram.recordings.summary import summarise
+    from kleinkram.recordings.summary import scan, summarise
 
 __all__ = [
     "CHILD_COMMAND",
@@ -56,6 +57,7 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
+    "Forward",
     "GroupKind",
     "Lost",
     "MemberFacts",
@@ -75,11 +77,15 @@ __all__ = [
     "combine",
     "compare_metadata",
     "from_dict",
+    "from_file",
+    "from_pipe",
+    "from_source",
     "group",
     "is_recording_name",
     "parse_rosbag2_metadata",
     "read_answer",
     "request_bytes",
+    "scan",
     "sniff",
     "stream_request_bytes",
     "summarise",
@@ -91,6 +97,7 @@ __all__ = [
 _HOMES = {
     "combining": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
+    "forward": ("Forward", "from_file", "from_pipe", "from_source"),
     "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
@@ -110,7 +117,7 @@ _HOMES = {
     "serialise": ("from_dict", "to_dict"),
     "sniffing": ("sniff",),
     "sources": ("CountingSource", "FileSource", "Source"),
-    "summary": ("summarise",),
+    "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -12,7 +12,7 @@ MAX_READ = 16 * 2**20
 WINDOW = 2**20
 """Bytes that a sequential reader asks for at a time."""
 
-READ_AHEAD = 4 * 2**20
+READ_AHEAD = 2 * 2**20
 """Bytes that a scan asks for at a time."""
 
 MAX_AT_ONCE = 16 * 2**20
