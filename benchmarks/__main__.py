@@ -26,23 +26,45 @@ STAGE = ROOT / ".bench"
 DATA = STAGE / "data"
 KLEIN = Path(sys.executable).parent / "klein"
 GB = 1_000_000_000
+ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts"}
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
 def main() -> None:
-    """Measure everything, print the table."""
+    """Measure the rows that are named (`python -m benchmarks small starts`), or everything; print the table."""
+    wanted = set(sys.argv[1:]) or ROWS
+    if unknown := wanted - ROWS:
+        raise SystemExit(f"no rows called {', '.join(sorted(unknown))}; there are {', '.join(sorted(ROWS))}")
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir()
     rows: list[dict[str, object]] = []
-    with instance():
-        rows.append(memory_row())
-    with instance() as environment:
-        rows += [upload_row(environment), download_row(environment), small_files_row(environment)]
-        rows += summary_rows(environment)
-    rows += recording_rows(STAGE / "recordings")
-    rows += start_rows()
+    if wanted != {"recordings"}:
+        with instance():
+            klein("project", "create", "bench")
+    if "memory" in wanted:
+        with instance():
+            rows.append(memory_row())
+    if wanted & {"transfers", "small", "summaries"}:
+        rows += rows_of_an_instance(wanted)
+    if "recordings" in wanted:
+        rows += recording_rows(STAGE / "recordings")
+    if "starts" in wanted:
+        rows += start_rows()
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     print_table(rows)
+
+
+def rows_of_an_instance(wanted: set[str]) -> list[dict[str, object]]:
+    """Measure against one instance."""
+    rows: list[dict[str, object]] = []
+    with instance() as environment:
+        if "transfers" in wanted:
+            rows += [upload_row(environment), download_row(environment)]
+        if "small" in wanted:
+            rows.append(small_files_row(environment))
+        if "summaries" in wanted:
+            rows += summary_rows(environment)
+    return rows
 
 
 def variables() -> dict[str, str]:
@@ -198,7 +220,7 @@ def ratio_row(what: str, pairing: Pairing, bar: float) -> dict[str, object]:
 def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
     """The summaries of a 1 GB MCAP and a 1 GB bag over HTTP."""
     folder = STAGE / "recordings"
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     generate_mcap(folder / "large.mcap", size_bytes=GB, seed=1)
     generate_bag(folder / "large.bag", size_bytes=GB, seed=2)
     klein("mission", "create", "summaries", "-p", "bench")
@@ -225,7 +247,6 @@ def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
 def memory_row() -> dict[str, object]:
     """Memory of everything, after 1 GB came and went."""
     source = random_file(STAGE / "gigabyte" / "memory.bin", GB)
-    klein("project", "create", "bench")
     klein("upload", "-p", "bench", "-m", "memory", "--create", str(source))
     settle()
     klein("download", "-p", "bench", "-m", "memory", "--dest", str(STAGE / "memory"))
@@ -261,9 +282,9 @@ def start_rows() -> list[dict[str, object]]:
             answers.append(time.perf_counter() - started)
             os.truncate(small, 1000 + number)
             os.utime(small, (time.time() - 3600, time.time() - 3600))
-            klein("upload", "-p", "bench", "-m", "up-1", str(small), "--json")
+            klein("upload", "-p", "bench", "-m", "starts", "--create", str(small), "--json")
             puts.append(time.perf_counter() - started)
-            klein("file", "delete", "put.bin", "-p", "bench", "-m", "up-1", "--yes")
+            klein("file", "delete", "put.bin", "-p", "bench", "-m", "starts", "--yes")
     return [
         {
             "what": f"warm `klein up` to {what}, {STARTS} starts",
