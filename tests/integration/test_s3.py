@@ -3,7 +3,7 @@
 import asyncio
 import http.server
 import threading
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -13,7 +13,8 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.s3 import Question, S3Error, open_s3
 from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
-from kleinkram.server.storage import open_storage
+from kleinkram.server.storage import Storage, open_storage
+from tests.integration.running import Api
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def _ask(settings: Settings, question: Question) -> str:
     return asyncio.run(run())
 
 
-_DONE = Said(200, b"<R xmlns='urn:any'><UploadId>7</UploadId></R>")
+_DONE = Said(200, b"<AnyResult xmlns='urn:any'><UploadId>7</UploadId></AnyResult>")
 
 
 def test_what_passes_by_itself_is_tried_again() -> None:
@@ -88,9 +89,11 @@ def test_a_refusal_is_not_tried_again() -> None:
     assert len(seen) == 1
 
 
-def test_an_error_after_status_200_is_an_error() -> None:
+@pytest.mark.parametrize("before", [b"", b"  \n ", b" <?xml version='1.0'?>"])
+def test_an_error_after_status_200_is_an_error(before: bytes) -> None:
+    late = before + b"<Error><Code>InternalError</Code><Message>late</Message></Error>"
     with (
-        _store([Said(200, b"<Error><Code>InternalError</Code><Message>late</Message></Error>")]) as (settings, _),
+        _store([Said(200, late)]) as (settings, _),
         pytest.raises(S3Error, match="InternalError: late"),
     ):
         _ask(settings, Question("POST", "a", {"uploadId": "7"}))
@@ -119,3 +122,55 @@ def test_an_object_that_ends_early_is_no_object() -> None:
 
     with _store([Said(200, b"half", missing_bytes=4)]) as (settings, _):
         asyncio.run(run(settings))
+
+
+_Question = Callable[[Storage], Awaitable[object]]
+_LISTS: list[_Question] = [lambda store: store.held_parts("a", "7"), lambda store: store.sizes("a/")]
+_ASKED: list[_Question] = [
+    *_LISTS,
+    lambda store: store.begin_multipart("a"),
+    lambda store: store.open_multiparts("a"),
+    lambda store: store.complete_multipart("a", "7", crc64nvme=bytes(8)),
+]
+
+
+def _unavailable(settings: Settings, question: _Question) -> str:
+    async def run() -> str:
+        async with open_storage(settings) as storage:
+            with pytest.raises(StoreUnavailable) as raised:
+                await asyncio.wait_for(question(storage), 10)
+            return raised.value.reason
+
+    return asyncio.run(run())
+
+
+@pytest.mark.parametrize("question", _ASKED)
+@pytest.mark.parametrize("body", [b"", b"<html>sign in<br>", b"<html><body>sign in</body></html>"])
+def test_a_page_that_is_no_stores_word_is_neither_a_list_nor_a_success(question: _Question, body: bytes) -> None:
+    with _store([Said(200, body)]) as (settings, _):
+        assert "NoStoresAnswer" in _unavailable(settings, question)
+
+
+def test_a_multipart_upload_without_an_id_is_none() -> None:
+    with _store([Said(200, b"<InitiateMultipartUploadResult/>")]) as (settings, _):
+        assert "no id" in _unavailable(settings, lambda store: store.begin_multipart("a"))
+
+
+@pytest.mark.parametrize("question", _LISTS)
+@pytest.mark.parametrize("next_page", [b"", b"<%b>5</%b>"])
+def test_a_list_that_does_not_go_on_is_not_read_for_ever(question: _Question, next_page: bytes) -> None:
+    named = b"".join(next_page.replace(b"%b", name) for name in (b"NextPartNumberMarker", b"NextContinuationToken"))
+    with _store([Said(200, b"<AnyResult><IsTruncated>true</IsTruncated>" + named + b"</AnyResult>")]) as (settings, _):
+        assert "goes on" in _unavailable(settings, question)
+
+
+def test_a_stores_name_in_capitals_is_signed_as_it_is_sent(api: Api) -> None:
+    settings: Settings = api.app.state.settings
+    url = settings.s3_internal_url.replace("127.0.0.1", "LocalHost")
+    assert url != settings.s3_internal_url
+
+    async def run() -> None:
+        async with open_storage(settings.model_copy(update={"s3_internal_url": url})) as storage:
+            await storage.check()
+
+    asyncio.run(run())

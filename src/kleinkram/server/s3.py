@@ -28,6 +28,8 @@ _GOOD_FOR_S = 900
 _ATTEMPTS = 3
 _FIRST_PAUSE_S = 0.2
 _PASSING = frozenset({429, 500, 502, 503, 504})
+# What is answered in XML, where it is not an object's own bytes.
+_TOLD = frozenset({"GET", "POST"})
 _TIMEOUT = aiohttp.ClientTimeout(total=None, sock_connect=5, sock_read=60)
 _CONNECTIONS = 32
 
@@ -55,7 +57,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the store said: headers by name in small letters, and its XML, if it sent any."""
+    """What the store said: headers by name in small letters, and its XML, which it owes to GET and POST alone."""
 
     headers: Mapping[str, str]
     xml: ElementTree.Element | None
@@ -81,15 +83,18 @@ class S3:
         """Send a request and read the answer whole.
 
         Raises:
-            S3Error: the store refused, or was in trouble three times.
+            S3Error: the store refused, was in trouble three times, or what answers is no store.
             aiohttp.ClientError, asyncio.TimeoutError, OSError: no connection, or no answer in time, three times.
         """
         async with self._opened(question) as response:
-            body = await response.read()
-            xml = _xml(body)
+            xml = _xml(await response.read())
             # Source: CompleteMultipartUpload: an error may follow after a status of 200.
             if xml is not None and _local(xml.tag) == "Error":
                 raise _error(500, xml)
+            # A proxy's page is not an empty list, nor the word that parts were joined. All that a store tells is
+            # called a result: ListPartsResult, CompleteMultipartUploadResult.
+            if question.method in _TOLD and (xml is None or not _local(xml.tag).endswith("Result")):
+                raise S3Error(response.status, "NoStoresAnswer", "what answers at the store's address is no S3 store")
             return Answer({name.lower(): value for name, value in response.headers.items()}, xml)
 
     async def stream(self, question: Question) -> AsyncIterator[bytes]:
@@ -153,7 +158,8 @@ async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3]:
 
 def _xml(body: bytes) -> ElementTree.Element | None:
     try:
-        return ElementTree.fromstring(body)  # noqa: S314  (the store is ours; expat bounds what entities may become)
+        # While a store joins parts it may send white space, so that nobody thinks it is gone.
+        return ElementTree.fromstring(body.strip())  # noqa: S314  (the store is ours; expat bounds what entities may become)
     except ElementTree.ParseError:
         return None
 

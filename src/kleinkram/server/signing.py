@@ -1,8 +1,7 @@
-"""Signed addresses of one bucket: AWS Signature Version 4 in the query, for objects only. Asks nobody, and is fast.
+"""Signed addresses of one bucket and its objects: AWS Signature Version 4 in the query. Asks nobody, and is fast.
 
-The S3 library signs too, in ten times the time; every part that anybody sends needs an address, so it is done here.
-A test holds both to the same answer. Never signs the body: where bytes must be the stated ones, a checksum header is
-among the signed headers.
+Every part that anybody sends needs an address. A test holds this and an S3 library to the same answer. Never signs the
+body: where bytes must be the stated ones, a checksum header is among the signed headers.
 
 Source: AWS General Reference, "Authenticating Requests: Using Query Parameters (AWS Signature Version 4)".
 """
@@ -23,12 +22,14 @@ class Presigner:
     """Signs addresses of objects as one identity, at one address of the store. Keeps the signing key of the day."""
 
     def __init__(self, settings: Settings, url: str) -> None:
+        # In small letters, as it is signed: not every HTTP client makes a host's name so by itself.
         parts = urlsplit(url.rstrip("/"))
+        parts = parts._replace(netloc=parts.netloc.lower())
         self._origin = f"{parts.scheme}://{parts.netloc}"
         self._path = f"{parts.path}/{settings.s3_bucket}/"
         # What an HTTP client sends: the port only where it is not the usual one.
         is_usual = parts.port in {None, _DEFAULT_PORTS.get(parts.scheme)}
-        self._host = (parts.netloc.rpartition(":")[0] if is_usual and parts.port else parts.netloc).lower()
+        self._host = parts.netloc.rpartition(":")[0] if is_usual and parts.port else parts.netloc
         self._region = settings.s3_region
         self._access_key = settings.s3_access_key
         self._secret_key = settings.s3_secret_key.get_secret_value()
@@ -45,6 +46,8 @@ class Presigner:
         at: datetime.datetime | None = None,
     ) -> str:
         """Return an address good for one kind of request to the object `key`, which must carry exactly `headers`.
+
+        An empty `key` is the bucket itself.
 
         It is good for `expires_s` from `at` (aware; by default now).
         """

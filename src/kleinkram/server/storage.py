@@ -108,14 +108,21 @@ class Storage:
         await self._ask("ask for the bucket", Question("HEAD"))
 
     async def begin_multipart(self, key: str) -> str:
-        """Open a multipart upload and return the store's id of it."""
+        """Open a multipart upload and return the store's id of it.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or gives no id.
+        """
         headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
             headers = {"x-amz-checksum-algorithm": "CRC64NVME", "x-amz-checksum-type": "FULL_OBJECT"}
         elif self.checksum is ChecksumKind.sha256:
             headers = {"x-amz-checksum-algorithm": "SHA256"}
-        answer = await self._ask("begin a multipart upload", Question("POST", key, {"uploads": ""}, headers))
-        return answer.text("UploadId")
+        what = "begin a multipart upload"
+        answer = await self._ask(what, Question("POST", key, {"uploads": ""}, headers))
+        if multipart_id := answer.text("UploadId"):
+            return multipart_id
+        raise StoreUnavailable(reason=f"{what}: it gave no id")
 
     async def held_parts(self, key: str, multipart_id: str) -> list[HeldPart] | None:
         """Return the parts that the store holds, in order, or None when it no longer knows the upload."""
@@ -127,17 +134,26 @@ class Storage:
         ]
 
     async def _raw_parts(self, key: str, multipart_id: str) -> list[dict[str, str]] | None:
-        parts: list[dict[str, str]] = []
-        query = {"uploadId": multipart_id}
+        question = Question("GET", key, {"uploadId": multipart_id})
+        try:
+            return await self._listed("list parts", question, "Part", ("part-number-marker", "NextPartNumberMarker"))
+        except StoreMissing:
+            return None
+
+    async def _listed(self, what: str, question: Question, name: str, marker: tuple[str, str]) -> list[dict[str, str]]:
+        """Return all entries of a list; `marker` is how the next page is asked for, and how the last one names it."""
+        found: list[dict[str, str]] = []
+        asked, told = marker
+        at = ""
         while True:
-            try:
-                answer = await self._ask("list parts", Question("GET", key, query))
-            except StoreMissing:
-                return None
-            parts += answer.entries("Part")
+            page = replace(question, query={**question.query, asked: at}) if at else question
+            answer = await self._ask(what, page)
+            found += answer.entries(name)
             if answer.text("IsTruncated") != "true":
-                return parts
-            query["part-number-marker"] = answer.text("NextPartNumberMarker")
+                return found
+            before, at = at, answer.text(told)
+            if at in {"", before}:
+                raise StoreUnavailable(reason=f"{what}: it does not say where its list goes on")
 
     def sign_part(self, target: PartTarget, *, expires_s: float) -> Signed:
         """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused.
@@ -192,14 +208,10 @@ class Storage:
 
     async def sizes(self, prefix: str) -> dict[str, int]:
         """Return the sizes in bytes of all objects whose keys begin with `prefix`."""
-        found: dict[str, int] = {}
-        query = {"list-type": "2", "prefix": prefix}
-        while True:
-            answer = await self._ask("list objects", Question("GET", query=query))
-            found |= {entry["Key"]: int(entry["Size"]) for entry in answer.entries("Contents")}
-            if answer.text("IsTruncated") != "true":
-                return found
-            query["continuation-token"] = answer.text("NextContinuationToken")
+        question = Question("GET", query={"list-type": "2", "prefix": prefix})
+        marker = ("continuation-token", "NextContinuationToken")
+        entries = await self._listed("list objects", question, "Contents", marker)
+        return {entry["Key"]: int(entry["Size"]) for entry in entries}
 
     async def open_multiparts(self, prefix: str) -> list[tuple[str, str]]:
         """Return key and id of the multipart uploads under way whose keys begin with `prefix`."""

@@ -76,7 +76,7 @@ def test_the_library_signs_the_same(
     method = "GET" if operation == "get_object" else "PUT"
     url = Presigner(_settings(store), store).sign(method, key, query=query, headers=headers, expires_s=900, at=at)
     ours = urlsplit(url)
-    assert (ours.scheme, ours.netloc, ours.path) == (theirs.scheme, theirs.netloc, theirs.path)
+    assert (ours.scheme, ours.netloc, ours.path) == (theirs.scheme, theirs.netloc.lower(), theirs.path)
     assert parse_qs(ours.query, strict_parsing=True) == said
 
 
