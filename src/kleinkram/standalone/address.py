@@ -2,6 +2,7 @@
 
 import ipaddress
 import socket
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -99,6 +100,16 @@ def settle_ports(listening: Listening, remembered: dict[str, int]) -> dict[str, 
     for name in ("postgres", *PORT_NAMES):
         settled[name] = _settle(name, "127.0.0.1", remembered, settled)
     return settled
+
+
+def taken_ports(listening: Listening, ports: Mapping[str, int]) -> list[str]:
+    """Say which of these ports somebody holds: `port 8001 (nginx (pid 7))`. None of ours may run."""
+    found = []
+    for name, port in ports.items():
+        if not is_free(port, listening.address if name in _FLAGS else "127.0.0.1"):
+            holder = listener(port)
+            found.append(f"port {port}" + (f" ({holder})" if holder else ""))
+    return found
 
 
 def public_urls(listening: Listening, ports: dict[str, int]) -> tuple[str, str]:

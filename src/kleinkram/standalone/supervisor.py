@@ -16,6 +16,7 @@ from datetime import datetime, timezone
 
 import kleinkram
 from kleinkram.standalone import child, health, postgres, s3, schema, store
+from kleinkram.standalone.address import taken_ports
 from kleinkram.standalone.data_dir import (
     DataDir,
     create,
@@ -35,7 +36,8 @@ _STORE_STARTS = 5
 _LOGS_EVERY_S = 5.0
 # A job that is cut short is done again: nobody should wait long for the worker to finish one.
 _STOP_TIMEOUTS_S = {"worker": 5.0}
-_WATCHED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD}
+_STOPPING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+_WATCHED = {*_STOPPING, signal.SIGCHLD, signal.SIGALRM}
 
 
 class StopAsked(Exception):
@@ -56,13 +58,28 @@ def run(options: UpOptions) -> None:
         end_leftovers(data_dir)
         supervisor = Supervisor(make_plan(options))
         try:
-            supervisor.start()
+            _start(supervisor, options)
             print(_greeting(supervisor, options), flush=True)  # noqa: T201  (the command's one line of output)
             supervisor.watch()
         except StopAsked:
             pass
         finally:
             supervisor.stop()
+
+
+def _start(supervisor: "Supervisor", options: UpOptions) -> None:
+    """Start all parts; once more, on other ports, where another program took one after it had been chosen."""
+    try:
+        supervisor.start()
+    except PartFailed:
+        supervisor.stop()
+        plan = supervisor.plan
+        taken = taken_ports(plan.listening, plan.ports)
+        if not taken:
+            raise
+        _say(f"another program took {' and '.join(taken)} meanwhile: starting again on other ports")
+        supervisor.plan = make_plan(options)
+        supervisor.start()
 
 
 class Supervisor:
@@ -82,6 +99,7 @@ class Supervisor:
             StopAsked: meanwhile somebody asked for the end.
         """
         plan = self.plan
+        self._api_may_begin = False
         _warn_of_listening(plan)
         # What takes long goes side by side: the store's start, PostgreSQL's, and the API's loading.
         self._launch("store", lambda: store.start(plan.store), stop_signal=store.STOP_SIGNAL)
@@ -257,11 +275,15 @@ def _ended(running: RunningPart) -> PartFailed:
 def _pause(seconds: float) -> None:
     """Sleep, but wake when a child ends.
 
+    By an alarm: `sigtimedwait` invents a signal where the process was stopped (Ctrl-Z) until after its time.
+
     Raises:
         StopAsked: a signal asked for the end.
     """
-    received = signal.sigtimedwait(_WATCHED, seconds)
-    if received is not None and received.si_signo != signal.SIGCHLD:
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 0.001))
+    received = signal.sigwaitinfo(_WATCHED).si_signo
+    # Under `nohup` a terminal may go.
+    if received in _STOPPING and not (received == signal.SIGHUP and signal.getsignal(received) == signal.SIG_IGN):
         raise StopAsked
 
 

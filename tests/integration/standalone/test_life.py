@@ -3,8 +3,10 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -12,6 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from kleinkram.standalone import s3, store
+from kleinkram.standalone.address import Listening
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import NotRunning
 from kleinkram.standalone.health import is_ready
@@ -161,6 +164,64 @@ def test_a_stop_during_the_start_leaves_nothing(instance: Instance) -> None:
     process.communicate(timeout=60)
     assert process.returncode == 0
     assert instance.processes == []
+
+
+def test_a_port_that_is_taken_after_it_was_chosen_is_chosen_again(instance: Instance) -> None:
+    process = instance.spawn(listening=Listening())
+    ports = instance.data_dir / "ports.json"
+    wait_until(ports.exists)
+    chosen = json.loads(ports.read_text())["api"]  # the API is the last to take its port
+    with socket.create_server(("127.0.0.1", chosen)):
+        assert process.stdout is not None
+        assert "answers at" in process.stdout.readline()
+        assert instance.told["ports"]["api"] != chosen
+        assert _answers(instance)
+        process.terminate()
+        assert f"another program took port {chosen} (" in process.communicate(timeout=60)[1]
+    assert instance.processes == []
+
+
+_WAITING = """
+import signal
+from kleinkram.standalone import supervisor
+signal.pthread_sigmask(signal.SIG_BLOCK, supervisor._WATCHED)
+print("waiting", flush=True)
+supervisor._pause(0.3)
+print("went on", flush=True)
+supervisor._pause(60)
+"""
+
+
+def _waiting(*before: str) -> "subprocess.Popen[str]":
+    command = [*before, sys.executable, "-c", _WAITING]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "waiting\n"
+    return process
+
+
+def test_a_supervisor_that_is_stopped_until_after_its_time_goes_on() -> None:
+    """Ctrl-Z and fg."""
+    process = _waiting()
+    wait_until(lambda: Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "S")
+    process.send_signal(signal.SIGSTOP)
+    over = time.monotonic() + 0.4
+    wait_until(lambda: time.monotonic() > over)
+    process.send_signal(signal.SIGCONT)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "went on\n"
+    process.terminate()
+    assert "StopAsked" in process.communicate(timeout=10)[1]
+
+
+def test_a_terminal_that_goes_ends_it_unless_nohup_said_otherwise() -> None:
+    for before, ends in (((), True), (("nohup",), False)):
+        process = _waiting(*before)
+        process.send_signal(signal.SIGHUP)
+        assert process.stdout is not None
+        assert process.stdout.readline() == ("" if ends else "went on\n")
+        process.terminate()
+        assert "StopAsked" in process.communicate(timeout=10)[1]
 
 
 @pytest.mark.parametrize("failing", ["migrate", "api"])
