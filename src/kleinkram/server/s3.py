@@ -91,9 +91,8 @@ class S3:
             # Source: CompleteMultipartUpload: an error may follow after a status of 200.
             if xml is not None and _local(xml.tag) == "Error":
                 raise _error(500, xml)
-            # A proxy's page is not an empty list, nor the word that parts were joined. All that a store tells is
-            # called a result: ListPartsResult, CompleteMultipartUploadResult.
-            if question.method in _TOLD and (xml is None or not _local(xml.tag).endswith("Result")):
+            # A proxy's page is not an empty list, nor the word that parts were joined.
+            if question.method in _TOLD and (xml is None or _local(xml.tag) == "html"):
                 raise S3Error(response.status, "NoStoresAnswer", "what answers at the store's address is no S3 store")
             return Answer({name.lower(): value for name, value in response.headers.items()}, xml)
 
