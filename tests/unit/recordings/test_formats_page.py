@@ -1,0 +1,35 @@
+"""The page on formats names every problem code that the code can say, and no other."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_every_problem_code_is_on_the_page() -> None:
+    page = (ROOT / "docs/formats.md").read_text()
+    table = page.split("<!-- codes -->")[1].split("<!-- /codes -->")[0]
+    told = re.findall(r"^\| `([a-z-]+)` \|", table, re.MULTILINE)
+    assert told == sorted(set(told))
+    assert set(told) == set(said_codes())
+
+
+def said_codes() -> Iterator[str]:
+    """Yield the first argument of whatever makes a problem, anywhere in the source."""
+    for path in (ROOT / "src/kleinkram").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and _makes_a_problem(node) and isinstance(node.args[0], ast.Constant):
+                yield str(node.args[0].value)
+
+
+def _makes_a_problem(call: ast.Call) -> bool:
+    if not call.args:
+        return False
+    name = ast.unparse(call.func)
+    if name == "NotIndexed":  # only some of these reach a person
+        return any(word.arg == "is_problem" and ast.literal_eval(word.value) for word in call.keywords)
+    return name == "Problem" or (name.endswith("noticed.add") and len(call.args) == 3)
