@@ -30,11 +30,14 @@ def check(file: Seed, folder: Path) -> None:
     """
     path = folder / file.name
     path.write_bytes(file.data)
-    with FileSource(path) as source:
-        _check_summary(summarise(source), len(file.data))
-    with from_file(path) as forward:
-        _check_summary(scan(forward), len(file.data))
-    _check_messages(path)
+    try:
+        with FileSource(path) as source:
+            _check_summary(summarise(source), len(file.data))
+        with from_file(path) as forward:
+            _check_summary(scan(forward), len(file.data))
+        _check_messages(path)
+    finally:
+        path.unlink()  # a metadata.yaml would find the files of other cases beside itself
 
 
 def _check_summary(summary: RecordingSummary, size_bytes: int) -> None:

@@ -144,11 +144,16 @@ def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Conne
 
 def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:
     """Return a chunk info record."""
-    if len(data) != 8 * fields.u32("count"):
-        raise Malformed(where, "a chunk info whose length does not fit its count")
-    counts = array_u32(data)[1::2]
+    counts = read_chunk_counts(fields, data, where)[1::2]
     index_bytes = len(counts) * _INDEX_HEAD_BYTES + INDEX_ENTRY_BYTES * sum(counts)
     return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), sum(counts), index_bytes)
+
+
+def read_chunk_counts(fields: Fields, data: bytes, where: str) -> array[int]:
+    """Return connection and count of messages, by turns, of a chunk info record."""
+    if len(data) != 8 * fields.u32("count"):
+        raise Malformed(where, "a chunk info whose length does not fit its count")
+    return array_u32(data)
 
 
 def read_chunk_head(stream: ForwardStream) -> ChunkHead:

@@ -61,7 +61,7 @@ def generate(root: Struct, wire: Wire) -> Decode:
         writer.line(f"if size > {wire.start + 4}: fail(data, o, None)")
         writer.line(f"v0 = {writer.constant('c', value_class(root))}()")
     source = _HEAD.format(start=wire.start, objects=MAX_OBJECTS, body="\n".join(writer.lines))
-    exec(compile(source, f"<decoder of {root.name[:80]}>", "exec"), writer.namespace)  # noqa: S102  # see the docstring
+    exec(compile(source, f"<decoder of {root.name[:80]!a}>", "exec"), writer.namespace)  # noqa: S102  # see the docstring
     decode: Decode = writer.namespace["decode"]
     return decode
 

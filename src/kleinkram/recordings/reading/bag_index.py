@@ -9,7 +9,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import records
-from kleinkram.recordings.bag.records import Fields, array_u32
+from kleinkram.recordings.bag.records import Fields, read_chunk_counts
 from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import SourceForward
@@ -89,8 +89,8 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> li
             index.define(record.fields, stream.take(record.data_bytes), where)
         elif record.opcode == records.CHUNK_INFO:
             fields = record.fields
-            flat = array_u32(stream.take(record.data_bytes))
-            for number, count in zip(flat[0::2], flat[1::2], strict=False):
+            flat = read_chunk_counts(fields, stream.take(record.data_bytes), where)
+            for number, count in zip(flat[0::2], flat[1::2], strict=True):
                 index.counts[number] += count
             members = index.table.set_number(flat[0::2])
             found.append((fields.u64("chunk_pos"), fields.time_ns("start_time"), fields.time_ns("end_time"), members))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator
+from operator import le
 from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed
@@ -80,9 +81,11 @@ class DatabaseMember:
 
     def _blocks(self, wanted: dict[int, Channel], selection: Selection) -> Iterator[Block]:
         """Yield the messages by SQLite; should it stumble, those behind from what can be recovered."""
-        latest_ns, of_latest = selection.start_ns, 0
+        latest_ns, of_latest = max(selection.start_ns, self.contents.start_ns or 0), 0
         try:
             for block in self._by_sqlite(wanted, selection):
+                if block[0].log_time_ns < latest_ns or not _is_in_order(block):
+                    raise sqlite3.DatabaseError("its index of times is not in their order")
                 of_latest = of_latest if block[-1].log_time_ns == latest_ns else 0
                 latest_ns = block[-1].log_time_ns
                 of_latest += sum(message.log_time_ns == latest_ns for message in block)
@@ -132,6 +135,12 @@ class DatabaseMember:
         if self._recovered is None:
             self._recovered = self._recover()
         return self._recovered
+
+
+def _is_in_order(block: Block) -> bool:
+    """Say whether times never fall: a damaged index hands messages out in an order of its own."""
+    stamps = [message.log_time_ns for message in block]
+    return all(map(le, stamps, stamps[1:]))
 
 
 def _has_index(database: sqlite3.Connection) -> bool:

@@ -18,8 +18,11 @@ from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.reading import NotARecording, Recording
 from kleinkram.recordings.sample import generate_db3
+from kleinkram.recordings.rosbag2.pages import LEAF_INDEX
 from kleinkram.recordings.sources import FileSource
 
+from ..databases import T0 as DATABASE_T0
+from ..databases import make_database, steady
 from ..memory_source import MemorySource
 from .making import T0, Stamped, Watched, bag_of, mcap_of
 
@@ -176,3 +179,30 @@ def test_a_database_with_a_page_of_rubbish_gives_the_others(tmp_path: Path) -> N
     assert len(set(left)) == len(left)
     assert left == sorted(left, key=lambda message: message[1])
     assert left[-1] == whole[-1]
+
+
+def test_a_database_whose_index_is_not_in_order_is_read_without_it(tmp_path: Path) -> None:
+    """The times of a flipped index hand messages out of order, and SQLite does not notice."""
+    path = make_database(tmp_path / "drive_0.db3", messages=steady(4000))
+    data = bytearray(path.read_bytes())
+    stamp = (DATABASE_T0 + 1000 * 10_000_000).to_bytes(8, "big")
+    in_index = next(
+        at
+        for page in range(0, len(data), 4096)
+        if data[page] == LEAF_INDEX and (at := data.find(stamp, page, page + 4096)) >= 0
+    )
+    data[in_index : in_index + 8] = (DATABASE_T0 + 3000 * 10_000_000).to_bytes(8, "big")
+    path.write_bytes(data)
+    with Recording.open(path) as recording:
+        found = [message.log_time_ns for message in recording.raw_messages()]
+        assert [problem.code for problem in recording.problems] == ["damaged", "damaged"]
+    assert found == sorted(found)
+    assert len(found) == 4000
+
+
+def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index() -> None:
+    whole = FILES["bag"]
+    info_at = whole.rfind(b"op=\x06")
+    length_at = whole.find(struct.pack("<I", 16), info_at)
+    damaged = whole[:length_at] + struct.pack("<I", 17) + whole[length_at + 4 :] + b"\0"
+    assert read_all(damaged, "test.bag")[0] == read_all(whole, "test.bag")[0]
