@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.reading import NotARecording, Recording
-from kleinkram.recordings.sample import generate_db3
 from kleinkram.recordings.rosbag2.pages import LEAF_INDEX
+from kleinkram.recordings.sample import generate_db3
 from kleinkram.recordings.sources import FileSource
 
 from ..databases import T0 as DATABASE_T0
