@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from operator import sub
 from typing import Protocol
 
@@ -85,6 +86,13 @@ class Tally:
         self._topics: dict[int, str] = {}
         self.lateness: dict[str, Lateness] = {}
 
+    def learn(self, channels: Mapping[int, HasTopic]) -> None:
+        """State the topics of all channels that are known by now. `channels` may only grow: what it had is not looked
+        at again, so that this costs nothing behind each of many chunks.
+        """
+        for number, channel in islice(channels.items(), len(self._topics), None):
+            self.define(number, channel.topic)
+
     def define(self, number: int, topic: str) -> None:
         """State the topic of a channel; the first one counts."""
         if number not in self._topics:
@@ -105,7 +113,7 @@ class Tally:
             if self._with_publish_times and (published := rows[1::ROW]) != stamps:
                 self._note_lateness(topic, stamps, published)
             count += len(stamps)
-        self.timeline.settle(0)
+        self.timeline.bound()
         self.messages += count
         return count
 

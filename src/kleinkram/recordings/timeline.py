@@ -195,6 +195,10 @@ class Timeline:
             if times.pending:
                 times.settle(before_ns)
         self._pending = sum(len(times.pending) for times in self.topics.values())
+        self.bound()
+
+    def bound(self) -> None:
+        """Keep no more stamps waiting than `MAX_PENDING_STAMPS`, though nothing is known of those to come."""
         if self._pending > MAX_PENDING_STAMPS:
             self._settle_older_half()
 
@@ -202,7 +206,8 @@ class Timeline:
         for times in self.topics.values():
             if times.pending:
                 stamps = sorted(times.pending)
-                times.settle(stamps[len(stamps) // 2])
+                # Including the one in the middle: all of them may be equal.
+                times.settle(stamps[len(stamps) // 2] + 1)
         self._pending = sum(len(times.pending) for times in self.topics.values())
 
 

@@ -288,3 +288,19 @@ def test_facts_of_a_summary_can_be_compared() -> None:
     facts = MemberFacts("a_0.db3", summary.message_count, summary.start_ns, summary.end_ns, summary.format)
     stated = replace(STATED, files=("a_0.db3",), message_count=20, duration_ns=5)
     assert codes(compare_metadata(stated, [facts])) == [("metadata-storage", "a_0.db3")]
+
+
+def test_merge_keys_do_not_unfold() -> None:
+    levels = "".join(f"a{n}: &a{n} {{<<: [*a{n - 1}, *a{n - 1}]}}\n" for n in range(1, 200))
+    text = f"a0: &a0 {{k: 1}}\n{levels}rosbag2_bagfile_information: {{version: 4, message_count: 12}}\n"
+    stated = parse_rosbag2_metadata(text)
+    assert stated is not None
+    assert (stated.version, stated.message_count) == (4, 12)
+
+
+@pytest.mark.parametrize(
+    "value", ["!!bool x", "!!int ''", "!!timestamp x", '"\\U99999999"', "9" * 5000, "-3", "1.5", "~"]
+)
+def test_a_value_that_is_no_number_is_left_out(value: str) -> None:
+    stated = parse_rosbag2_metadata(f"rosbag2_bagfile_information: {{version: 4, message_count: {value}}}")
+    assert stated is None or (stated.version, stated.message_count) == (4, None)

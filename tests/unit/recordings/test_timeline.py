@@ -85,6 +85,18 @@ def test_memory_stays_small_for_a_long_recording() -> None:
     assert len(times.runs) == 1
 
 
+def test_memory_stays_small_where_a_clock_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timeline_module, "MAX_PENDING_STAMPS", 1_000)
+    timeline = Timeline()
+    for _ in range(50):
+        timeline.add("/t", [T0] * 100, 0)
+        timeline.bound()
+        assert len(timeline.topics["/t"].pending) <= 1_000
+    timeline.settle(None)
+    (topic,) = measure(timeline, {"/t": NO_TYPE}).topics
+    assert (topic.count, topic.longest_gap_ns, topic.out_of_order_count) == (5_000, 0, 0)
+
+
 def test_stamps_of_1970_are_suspect() -> None:
     found = measured([[5, 6], [T0, T0 + 10, T0 + 30]])
     (topic,) = found.topics

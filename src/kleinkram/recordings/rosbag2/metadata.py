@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 MAX_TEXT = 4 * 2**20
 _MOST_ENTRIES = 100_000
+_MOST_DIGITS = 20
+_NULL = frozenset(("~", "null", "Null", "NULL"))
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,9 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
     from ruamel.yaml.error import YAMLError
 
     try:
-        document = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, TypeError, RecursionError, AttributeError):
+        # "base" leaves each scalar a text and "<<" a key: merge keys, which can unfold without end, do nothing.
+        document = YAML(typ="base", pure=True).load(text)
+    except (YAMLError, ValueError, TypeError, RecursionError, AttributeError, ArithmeticError, LookupError):
         return None
     top = _mapping(_mapping(document).get("rosbag2_bagfile_information"))
     if not top:
@@ -118,7 +121,7 @@ def _file(entry: Mapping[object, object]) -> StatedFile:
 def _files(top: Mapping[object, object]) -> tuple[str, ...]:
     paths = top.get("relative_file_paths")
     if isinstance(paths, list):
-        return tuple(path for path in paths[:_MOST_ENTRIES] if isinstance(path, str))
+        return tuple(path for entry in paths[:_MOST_ENTRIES] if (path := _text(entry)))
     return tuple(path for entry in _entries(top, "files") if (path := _text(entry.get("path"))))
 
 
@@ -136,8 +139,9 @@ def _mapping(value: object) -> Mapping[object, object]:
 
 
 def _number(value: object) -> int | None:
-    return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None
+    text = _text(value)
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS else None
 
 
 def _text(value: object) -> str:
-    return value if isinstance(value, str) else ""
+    return value if isinstance(value, str) and value not in _NULL else ""
