@@ -15,6 +15,7 @@ from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
+from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, topic
 
@@ -61,6 +62,7 @@ async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
 
 async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
     """Keep what reading a blob said, in place of what was known before. What a scan said stays."""
+    await _hold_missions(db, blob_id)
     locked = select(blob.c.depth).where(blob.c.id == blob_id).with_for_update()
     known = (await db.execute(locked)).scalar_one_or_none()
     if known == ReadDepth.scan.value and summary.depth.value != known:
@@ -113,15 +115,25 @@ def _bigint(value: int | None) -> int | None:
 async def keep_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
     """Keep that we failed to read a blob, and why; what was read of it before stays."""
     values = {"content": ContentState.error.value, "content_reason": fit(reason), "summarised_at": func.now()}
+    await _hold_missions(db, blob_id)
     unknown = blob.c.content.in_((ContentState.pending.value, ContentState.error.value))
     await db.execute(update(blob).where(blob.c.id == blob_id, unknown).values(**values))
     await _regroup_missions(db, blob_id)
 
 
+async def _hold_missions(db: Connection, blob_id: uuid.UUID) -> None:
+    # Before the blob's own lock: the order in which linking takes them.
+    await lock_missions(db, await _missions_of(db, blob_id))
+
+
 async def _regroup_missions(db: Connection, blob_id: uuid.UUID) -> None:
-    holding = select(file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None)).distinct()
-    for mission_id in sorted((await db.execute(holding)).scalars()):
+    for mission_id in await _missions_of(db, blob_id):
         await regroup(db, mission_id)
+
+
+async def _missions_of(db: Connection, blob_id: uuid.UUID) -> list[uuid.UUID]:
+    holding = select(file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None)).distinct()
+    return sorted((await db.execute(holding)).scalars())
 
 
 async def keep_proof(db: Connection, blob_id: uuid.UUID, *, md5: bytes) -> None:

@@ -1,0 +1,50 @@
+"""One order of locks: what a worker keeps of a blob, and what is linked to it meanwhile, never wait for each other."""
+
+import os
+import uuid
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from kleinkram.recordings import Content, RecordingFormat, RecordingSummary
+from kleinkram.server.blobs import service
+from kleinkram.server.db import Connection
+from kleinkram.server.site import Site
+from tests.integration.jobs import on_site
+from tests.integration.races import racing
+from tests.integration.running import Api
+from tests.integration.uploading import begin, upload
+
+_Keep = Callable[[Connection, uuid.UUID], Awaitable[None]]
+
+
+async def _summary(db: Connection, blob_id: uuid.UUID) -> None:
+    await service.keep_summary(db, blob_id, RecordingSummary(RecordingFormat.unknown, Content.opaque))
+
+
+async def _failure(db: Connection, blob_id: uuid.UUID) -> None:
+    await service.keep_failure(db, blob_id, "it could not be read")
+
+
+@pytest.mark.parametrize("keep", [_summary, _failure])
+@pytest.mark.parametrize("link_first", [True, False])
+def test_a_blob_is_linked_while_what_it_holds_is_kept(api: Api, keep: _Keep, link_first: bool) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    body = os.urandom(1000)
+    file = upload(api, mission_id, "a.bin", body)
+    [[blob_id]] = api.sql("SELECT blob_id FROM file WHERE id = %s", file["id"])
+
+    def link() -> str:
+        return str(begin(api, mission_id, {"b.bin": body})[0]["decision"])
+
+    def read() -> str:
+        async def work(site: Site) -> str:
+            async with site.database.begin() as db:
+                await keep(db, blob_id)
+            return "kept"
+
+        return on_site(api, work)
+
+    with racing(api, "SELECT 1 FROM blob WHERE id = %s FOR UPDATE", blob_id) as send:
+        works = [send(work) for work in ([link, read] if link_first else [read, link])]
+    assert {work.result(30) for work in works} == {"linked", "kept"}
