@@ -1,7 +1,7 @@
 """S3 over HTTP, as little of it as this server speaks: one signed request, one answer, or one stream of bytes.
 
-Knows nothing of uploads and recordings. Holds no object in memory: bodies sent and answers read whole are small. A
-library would do the same with 25 MB more for each process, and a third of a second more at each start.
+Knows nothing of uploads and recordings. Holds no object in memory: bodies sent and answers read whole are small. Why
+this is no library: `docs/decisions/0011-own-s3-client.md`.
 
 Source: Amazon S3 API Reference; errors as in its "Error responses".
 """
