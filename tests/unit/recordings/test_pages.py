@@ -1,4 +1,4 @@
-"""The page on formats names every problem code that the code can say, and no other."""
+"""The pages on recordings: formats.md names every problem code, and what reading.md shows does run."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import generate_mcap
 
 ROOT = Path(__file__).parents[3]
 
@@ -33,3 +37,20 @@ def _makes_a_problem(call: ast.Call) -> bool:
     if name == "NotIndexed":  # only some of these reach a person
         return any(word.arg == "is_problem" and ast.literal_eval(word.value) for word in call.keywords)
     return name == "Problem" or (name.endswith("noticed.add") and len(call.args) == 3)
+
+
+def test_the_reading_guide_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    generate_mcap(tmp_path / "drive.mcap", duration_s=3, size_bytes=11_000_000)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/reading.md").read_text(), re.DOTALL)
+    local = [block for block in blocks if "kleinkram.connect()" not in block]
+    assert len(local) == len(blocks) - 1
+    shared: dict[str, object] = {}
+    shown = []
+    for block in local:
+        exec(block, shared)
+        shown.append(capsys.readouterr().out)
+    assert all(shown)
+    assert "no-footer cut.mcap" in shown[-1]
