@@ -197,11 +197,18 @@ class Storage:
             return
 
     async def find(self, key: str) -> StoredObject | None:
-        """Return what the store says of an object, or None where there is none."""
+        """Return what the store says of an object, or None where there is none.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or contradicts itself.
+        """
+        what = "look for an object"
         try:
-            question = Question("HEAD", key, headers={"x-amz-checksum-mode": "ENABLED"})
-            answer = await self._ask("look for an object", question)
+            answer = await self._ask(what, Question("HEAD", key, headers={"x-amz-checksum-mode": "ENABLED"}))
         except StoreMissing:
+            # An answer without a body may be a proxy's. A list is the store's own word.
+            if key in await self.sizes(key):
+                raise StoreUnavailable(reason=f"{what}: it is listed, and not found") from None
             return None
         crc = answer.headers.get(CHECKSUM_HEADERS[ChecksumKind.crc64nvme])
         return StoredObject(key, int(answer.headers["content-length"]), base64.b64decode(crc) if crc else None)

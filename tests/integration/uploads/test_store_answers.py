@@ -84,6 +84,21 @@ def test_a_store_that_cannot_now_does_not_end_an_upload(
     assert complete(api, started, body)["outcome"] == "completed"
 
 
+@pytest.mark.parametrize("size_bytes", [1000, _PART + 100])
+def test_a_proxy_that_finds_nothing_does_not_end_an_upload(
+    api: Api, middleman: Middleman, mission_id: str, size_bytes: int
+) -> None:
+    """An answer to HEAD says nothing but its status, whoever gives it."""
+    body = os.urandom(size_bytes)
+    started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, started, body)
+    middleman.rule = lambda asked: Reply(404) if asked.method == "HEAD" else None
+    finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+    api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
+    middleman.rule = lambda _asked: None
+    assert complete(api, started, body)["outcome"] == "completed"
+
+
 def test_an_upload_that_the_store_does_not_know_is_gone(api: Api, middleman: Middleman, mission_id: str) -> None:
     body = os.urandom(_PART + 100)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
