@@ -43,6 +43,7 @@ class Recordings:
         *,
         mission: str | uuid.UUID | None = None,
         project: str | uuid.UUID | None = None,
+        most_bytes: int | None = None,
     ) -> "Recording":
         """Open a recording on the server for reading, as `recordings.reading.Recording.open` does a local one.
 
@@ -53,9 +54,11 @@ class Recordings:
             what: a recording, a file, the id of either; or the name of a recording in a mission, or a file's path.
             mission: where a name or path is looked for.
             project: of the mission.
+            most_bytes: a file without index is not read whole if it has more bytes than this; None: 1 GiB.
 
         Raises:
             NotFound: there is no such recording or file.
+            TooCostly: a file would have to be read whole, and has more bytes than are allowed.
             AmbiguousName: several missions have a file of that path.
             FileUnavailable: the store's copy is lost or corrupt.
             NotARecording: it holds no messages that are read.
@@ -66,7 +69,7 @@ class Recordings:
 
         found = self._find(what, mission, project)
         ids = [found.id] if isinstance(found, FileRead) else [*self._metadata_of(found), *found.file_ids]
-        return Recording.open(RemoteFiles(Files(self._api), ids))
+        return Recording.open(RemoteFiles(Files(self._api), ids), most_bytes=most_bytes)
 
     def _find(
         self,

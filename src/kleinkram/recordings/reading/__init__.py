@@ -4,7 +4,7 @@ In the order of log time, raw or decoded, of some topics or a span of time, from
 Reads only what it needs, in bounded memory; nothing that a file holds raises.
 """
 
-from kleinkram.recordings.reading.errors import NoSuchTopic, NotARecording, SeveralRecordings
+from kleinkram.recordings.reading.errors import NoSuchTopic, NotARecording, SeveralRecordings, TooCostly
 from kleinkram.recordings.reading.merging import TooDisordered
 from kleinkram.recordings.reading.model import Channel, Message, RawMessage, Schema, Topic
 from kleinkram.recordings.reading.recording import Recording
@@ -18,6 +18,7 @@ __all__ = [
     "Recording",
     "Schema",
     "SeveralRecordings",
+    "TooCostly",
     "TooDisordered",
     "Topic",
 ]

@@ -180,6 +180,7 @@ class _Reader:
             self._note(row, error)
             return []
         messages.sort(key=_log_time)
+        self._compare_start(row, messages)
         return messages
 
     def _large(self, row: Row) -> Iterator[Block]:
@@ -194,7 +195,9 @@ class _Reader:
                     return
                 table = file.format.table_of_records(open_range(content, 0, content.size_bytes))
                 inside = ChunkedFile(content, file.format, table, file.channels, file.noticed)
-                yield from merge(pieces_of(inside, self._selection, ()))
+                for block in merge(pieces_of(inside, self._selection, ())):
+                    self._compare_start(row, block)
+                    yield block
         except TooLarge as error:
             raise SourceError(f"{file.source.name}: the chunk at byte {row.start}: {error}") from error
 
@@ -225,6 +228,14 @@ class _Reader:
             return piece
 
         return read
+
+    def _compare_start(self, row: Row, messages: Block) -> None:
+        """Note a chunk that holds earlier messages than the index says: it may have been opened too late for them."""
+        if messages and messages[0].log_time_ns < row.first_ns:
+            message = (
+                "it holds earlier messages than the index says; those that came too late to be in order are left out"
+            )
+            self._file.noticed.add("index-damaged", f"chunk at byte {row.start}", message)
 
     def _note(self, row: Row, error: Malformed) -> None:
         what = "messages" if row.kind == RECORDS else "chunk"

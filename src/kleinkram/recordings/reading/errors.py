@@ -32,6 +32,23 @@ class SeveralRecordings(RecordingError):
         self.names = names
 
 
+class TooCostly(RecordingError):
+    """A file without an index that can be used would have to be read whole, and that was not allowed.
+
+    Attributes:
+        name: of the file.
+        size_bytes: what reading it would cost.
+    """
+
+    def __init__(self, name: str, size_bytes: int, why: str) -> None:
+        super().__init__(
+            f"{name}: {why}; to open it, all its {size_bytes} bytes must be read first: "
+            f"allow that with most_bytes={size_bytes}, or download the file and open it from there"
+        )
+        self.name = name
+        self.size_bytes = size_bytes
+
+
 class NoSuchTopic(RecordingError):
     """The recording has no topic of that name.
 

@@ -10,6 +10,7 @@ from kleinkram.recordings.errors import NotIndexed
 from kleinkram.recordings.reading import bag_chunks, bag_index, mcap_chunks
 from kleinkram.recordings.reading.chunk_table import Row
 from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.reading.errors import TooCostly
 from kleinkram.recordings.reading.mcap_index import McapIndex, read_index
 from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
 from kleinkram.recordings.reading.merging import Piece
@@ -69,28 +70,43 @@ MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chun
 _BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records)
 
 
-def open_mcap(source: Source, noticed: Noticed, *, message_compression: str = "") -> ChunkedMember:
+def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
+    """Make sure that a file may be read whole; `most_bytes` None: whatever its size.
+
+    Raises:
+        TooCostly: it has more bytes.
+    """
+    if most_bytes is not None and source.size_bytes > most_bytes:
+        raise TooCostly(source.name, source.size_bytes, why)
+
+
+def open_mcap(
+    source: Source, noticed: Noticed, *, message_compression: str = "", most_bytes: int | None = None
+) -> ChunkedMember:
     """Open an MCAP by its index; one without is read once from end to end, and what is broken in it is noted.
 
     Raises:
+        TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
-    index = _mcap_index(source, noticed)
+    index = _mcap_index(source, noticed, most_bytes)
     channels = index.definitions.resolve(message_compression)
     start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
     return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents)
 
 
-def open_bag(source: Source, noticed: Noticed) -> ChunkedMember:
+def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
     """Open a ROS 1 bag by its index; one without is read once from end to end, and what is broken in it is noted.
 
     Raises:
+        TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
     try:
         index = bag_index.read_index(source)
     except NotIndexed as refusal:
+        check_cost(source, most_bytes, str(refusal))
         noticed.add(refusal.code, source.name, str(refusal))
         index = bag_index.rebuild_index(source, noticed)
     rows = index.table.rows
@@ -100,10 +116,11 @@ def open_bag(source: Source, noticed: Noticed) -> ChunkedMember:
     return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents)
 
 
-def _mcap_index(source: Source, noticed: Noticed) -> McapIndex:
+def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> McapIndex:
     try:
         return read_index(source)
     except NotIndexed as refusal:
+        check_cost(source, most_bytes, str(refusal))
         if refusal.is_problem:
             noticed.add(refusal.code, source.name, str(refusal))
         return rebuild_index(source, noticed)

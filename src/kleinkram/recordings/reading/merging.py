@@ -4,6 +4,9 @@ What is merged are pieces: chunks, parts of databases, each with the earliest ti
 when its time has come, so where pieces follow each other in time, one is held at a time and handed on as it is. Where
 they overlap, all that overlap are held; once they are more than `MAX_HELD`, only a share of each is, and a piece is
 read again for its next share: slower, and still in order. Equal times keep the order of the files.
+
+A piece that holds earlier messages than it promised may come too late for them: those that belong before what was
+handed on already are left out. Whoever makes the piece names that.
 """
 
 from __future__ import annotations
@@ -123,9 +126,12 @@ def merge(pieces: Iterable[Piece]) -> Iterator[Block]:
 class _Merging:
     def __init__(self) -> None:
         self._runs: list[tuple[Piece, Run]] = []
+        self._latest_ns = 0
 
     def add(self, piece: Piece) -> None:
-        self._runs.append((piece, piece.open()))
+        run = piece.open()
+        run.take(self._latest_ns)
+        self._runs.append((piece, run))
         if len(self._runs) > 1:
             self._runs.sort(key=lambda pair: pair[0].order)
             self._bound()
@@ -136,6 +142,8 @@ class _Merging:
             alone = len(self._runs) == 1
             cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
             parts = [part for _, run in self._runs if (part := run.take(cut))]
+            if parts:
+                self._latest_ns = max(part[-1].log_time_ns for part in parts)
             if len(parts) == 1:
                 yield parts[0]
             elif parts:
@@ -148,6 +156,7 @@ class _Merging:
             for run in waiting:
                 if alone or run.ready_ns <= cut:
                     run.refill()
+                    run.take(self._latest_ns)
             self._check()
 
     def _bound(self) -> None:

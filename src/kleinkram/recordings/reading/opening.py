@@ -16,7 +16,7 @@ from kleinkram.recordings.grouping import METADATA_NAME, group
 from kleinkram.recordings.model import RecordingFormat
 from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.reading.member import Member, open_bag, open_mcap
+from kleinkram.recordings.reading.member import Member, check_cost, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.recovered_member import open_recovered
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
@@ -36,6 +36,14 @@ class HasSources(Protocol):
         """Give up what the sources need; called once, when the recording is closed."""
 
 
+MAX_UNASKED_BYTES = 2**30
+"""Bytes of a file without index that are read over a network unless more is allowed."""
+
+_READ_WHOLE = {
+    RecordingFormat.rosbag2_db3: "a rosbag2 database (db3) is read from a local copy",
+    RecordingFormat.zstd: "it is compressed as a whole",
+}
+
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 
@@ -48,13 +56,14 @@ class Opened:
     stack: ExitStack
 
 
-def open_members(what: Openable, noticed: Noticed) -> Opened:
-    """Open the files of a recording.
+def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = None) -> Opened:
+    """Open the files of a recording; `most_bytes` as in `Recording.open`.
 
     Raises:
         FileNotFoundError: there is no such file or folder.
         NotARecording: there are no messages in it that we read.
         SeveralRecordings: the folder holds several.
+        TooCostly: a file has no index that can be used, and more than `most_bytes`.
         SourceError: the bytes cannot be read.
     """
     with ExitStack() as stack:
@@ -63,7 +72,7 @@ def open_members(what: Openable, noticed: Noticed) -> Opened:
         data = [file for file in files if file.base_name != METADATA_NAME]
         if not data:
             raise NotARecording(name, "there is no recording in it")
-        opener = _Opener(_message_compression(metadata), noticed, stack)
+        opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes)
         members = tuple(opener.open(file) for file in data)
         return Opened(name, members, stack.pop_all())
 
@@ -87,13 +96,17 @@ class _Opener:
     message_compression: str
     noticed: Noticed
     stack: ExitStack
+    most_bytes: int | None
 
     def open(self, file: _File) -> Member:
-        kind = sniff(file.source)
+        kind, most = sniff(file.source), self._most_bytes(file.source)
         if kind is RecordingFormat.mcap:
-            return open_mcap(file.source, self.noticed, message_compression=self.message_compression)
+            compression = self.message_compression
+            return open_mcap(file.source, self.noticed, message_compression=compression, most_bytes=most)
         if kind is RecordingFormat.rosbag1:
-            return open_bag(file.source, self.noticed)
+            return open_bag(file.source, self.noticed, most_bytes=most)
+        if kind is RecordingFormat.zstd or (kind is RecordingFormat.rosbag2_db3 and file.path is None):
+            check_cost(file.source, most, _READ_WHOLE[kind])
         if kind is RecordingFormat.rosbag2_db3:
             return self._open_database(file)
         if kind is RecordingFormat.zstd:
@@ -103,6 +116,12 @@ class _Opener:
         if kind is RecordingFormat.empty:
             raise NotARecording(file.source.name, "it has 0 bytes")
         raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
+
+    def _most_bytes(self, source: Source) -> int | None:
+        """Return how many bytes of a file may be read only to open it."""
+        if self.most_bytes is not None:
+            return self.most_bytes
+        return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
 
     def _open_database(self, file: _File) -> Member:
         name = file.source.name

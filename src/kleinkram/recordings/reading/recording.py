@@ -61,20 +61,27 @@ class Recording:
         self.end_ns = max((content.end_ns for content in contents if content.end_ns is not None), default=None)
 
     @classmethod
-    def open(cls, what: Openable) -> Recording:
+    def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
         """Open a recording: a file, a rosbag2 folder or its metadata.yaml, a source, several, or what has `sources()`.
 
         Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
-        what is broken in it is left out and named in `problems`.
+        what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
+        copied to this machine if it is not a plain local file.
+
+        Args:
+            what: the recording.
+            most_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
+                and any other up to `MAX_UNASKED_BYTES` (1 GiB).
 
         Raises:
+            TooCostly: a file would have to be read whole, and has more bytes than are allowed.
             FileNotFoundError: there is no such file or folder.
             NotARecording: it holds no messages that we read.
             SeveralRecordings: the folder holds several.
             SourceError: the bytes cannot be read.
         """
         noticed = Noticed()
-        opened = open_members(what, noticed)
+        opened = open_members(what, noticed, most_bytes=most_bytes)
         return cls(opened.name, opened.members, opened.stack, noticed)
 
     @property

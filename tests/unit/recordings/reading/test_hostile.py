@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.mcap import records
-from kleinkram.recordings.reading import NotARecording, Recording
+from kleinkram.recordings.reading import NotARecording, Recording, TooCostly, opening
 from kleinkram.recordings.rosbag2.pages import LEAF_INDEX
 from kleinkram.recordings.sample import generate_db3
 from kleinkram.recordings.sources import FileSource
@@ -206,3 +206,36 @@ def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index()
     length_at = whole.find(struct.pack("<I", 16), info_at)
     damaged = whole[:length_at] + struct.pack("<I", 17) + whole[length_at + 4 :] + b"\0"
     assert read_all(damaged, "test.bag")[0] == read_all(whole, "test.bag")[0]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut = Watched(MemorySource(FILES[kind][:-60], f"far.{kind}"))
+    monkeypatch.setattr(opening, "MAX_UNASKED_BYTES", cut.size_bytes - 1)
+    with pytest.raises(TooCostly, match=f"far.{kind}: .* most_bytes={cut.size_bytes}") as refused:
+        Recording.open(cut)
+    assert refused.value.size_bytes == cut.size_bytes
+    with Recording.open(cut, most_bytes=cut.size_bytes) as recording:
+        assert len(list(recording.raw_messages())) == 32
+    with Recording.open(MemorySource(FILES[kind], f"far.{kind}")) as recording:
+        assert len(list(recording.raw_messages())) == 32
+
+
+def test_a_local_file_is_read_whatever_its_size_unless_that_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opening, "MAX_UNASKED_BYTES", 10)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(FILES["mcap"][:-60])
+    with Recording.open(path) as recording:
+        assert len(list(recording.raw_messages())) == 32
+    with pytest.raises(TooCostly):
+        Recording.open(path, most_bytes=10)
+    generate_db3(tmp_path / "drive", duration_s=1, size_bytes=100_000)
+    database = tmp_path / "drive" / "drive_0.db3"
+    with Recording.open(database, most_bytes=10) as recording:
+        assert recording.message_count
+    with pytest.raises(TooCostly, match="local copy"):
+        Recording.open(MemorySource(database.read_bytes(), "far.db3"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
@@ -131,3 +132,16 @@ def test_channels_written_in_every_chunk() -> None:
     assert [message.sequence for message in messages] == [0, 1, 2, 3, 4]
     assert {message.publish_time_ns for message in messages} == {T0}
     assert messages[0].schema.data == b"uint8 x"
+
+
+def test_a_chunk_that_begins_before_the_time_in_the_index_leaves_the_order_as_it_is() -> None:
+    late = [("/t", T0 + 50, b"b"), ("/t", T0 + 95, b"c")]
+    whole = bag_of([[("/t", T0 + n, b"a") for n in range(0, 101, 10)], late])
+    data = whole.read(0, whole.size_bytes)
+    time = struct.Struct("<II")
+    at = data.rindex(b"start_time=" + time.pack(*divmod(T0 + 50, 10**9)))
+    changed = b"start_time=" + time.pack(*divmod(T0 + 90, 10**9))
+    recording = Recording.open(MemorySource(data[:at] + changed + data[at + len(changed) :], "test.bag"))
+    found = plain(recording)
+    assert [stamp - T0 for _, stamp, _ in found] == [0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 100]
+    assert [problem.code for problem in recording.problems] == ["index-damaged"]
