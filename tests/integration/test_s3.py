@@ -2,10 +2,12 @@
 
 import asyncio
 import http.server
+import ssl
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +16,7 @@ from kleinkram.server.s3 import Question, S3Error, open_s3
 from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
 from kleinkram.server.storage import Storage, open_storage
+from tests.certificate import make_certificate
 from tests.integration.running import Api
 
 
@@ -27,7 +30,7 @@ class Said:
 
 
 @contextmanager
-def _store(answers: list[Said]) -> Iterator[tuple[Settings, list[str]]]:
+def _store(answers: list[Said], certificate: tuple[Path, Path] | None = None) -> Iterator[tuple[Settings, list[str]]]:
     """Serve these answers, one after the other; yields its settings and the requests it has seen."""
     seen: list[str] = []
 
@@ -47,9 +50,14 @@ def _store(answers: list[Said]) -> Iterator[tuple[Settings, list[str]]]:
             """Say nothing."""
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Scripted) as server:
+        if certificate is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(*certificate)
+            server.socket = context.wrap_socket(server.socket, server_side=True)
+        scheme = "http" if certificate is None else "https"
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        told = {"database_url": "postgresql://a@b/c", "s3_internal_url": f"http://127.0.0.1:{server.server_port}"}
+        told = {"database_url": "postgresql://a@b/c", "s3_internal_url": f"{scheme}://127.0.0.1:{server.server_port}"}
         try:
             yield Settings.model_validate({**told, "s3_access_key": "key", "s3_secret_key": "secret"}), seen
         finally:
@@ -174,3 +182,12 @@ def test_a_stores_name_in_capitals_is_signed_as_it_is_sent(api: Api) -> None:
             await storage.check()
 
     asyncio.run(run())
+
+
+def test_a_certificate_that_nobody_vouches_for_is_refused(tmp_path: Path) -> None:
+    certificate = make_certificate(tmp_path, "127.0.0.1")
+    with _store([_DONE], certificate) as (settings, seen):
+        assert "KLEINKRAM_S3_CA_FILE" in _unavailable(settings, lambda store: store.check())
+        assert seen == []
+        told = settings.model_copy(update={"s3_ca_file": certificate[0]})
+        assert _ask(told, Question("POST", "a", {"uploads": ""})) == "7"

@@ -155,6 +155,13 @@ async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3]:
         yield S3(session, signer)
 
 
+def why(lost: BaseException) -> str:
+    """Return what went wrong on the way, for people; never an address, which is a secret when signed."""
+    if isinstance(lost, aiohttp.ClientSSLError):
+        return "its certificate is not trusted, or it speaks no TLS (KLEINKRAM_S3_CA_FILE names who is trusted)"
+    return type(lost).__name__
+
+
 def _xml(body: bytes) -> ElementTree.Element | None:
     try:
         # While a store joins parts it may send white space, so that nobody thinks it is gone.

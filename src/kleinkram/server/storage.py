@@ -13,7 +13,7 @@ from xml.sax.saxutils import escape
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, HeldPart
-from kleinkram.server.s3 import LOST, S3, Answer, Question, S3Error, open_s3
+from kleinkram.server.s3 import LOST, S3, Answer, Question, S3Error, open_s3, why
 from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
 
@@ -251,7 +251,7 @@ class Storage:
                 raise FileNotFoundError(key) from None
             raise StoreUnavailable(reason=f"read an object: {error.code}") from error
         except LOST as error:
-            raise StoreUnavailable(reason=f"reading stopped: {type(error).__name__}") from error
+            raise StoreUnavailable(reason=f"reading stopped: {why(error)}") from error
 
     async def put_small(self, key: str, body: bytes, headers: Mapping[str, str] | None = None) -> None:
         """Write a small object of the server's own, by the conditions that `headers` state.
@@ -288,7 +288,7 @@ class Storage:
         except S3Error as error:
             raise _refusal(error, what, question) from error
         except LOST as error:
-            raise StoreUnavailable(reason=f"{what}: {type(error).__name__}") from error
+            raise StoreUnavailable(reason=f"{what}: {why(error)}") from error
 
 
 def _part_list(parts: list[dict[str, str]], *, with_sha256: bool) -> bytes:
