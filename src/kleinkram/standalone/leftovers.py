@@ -60,7 +60,7 @@ def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> Ended:
     holder = read_holder(data_dir)
     if holder is None or not is_held(data_dir):
         raise NotRunning(f"Kleinkram does not run on {data_dir.root}: there is nothing to end.")
-    ended = Ended(holder.pid, _living_parts(data_dir))
+    ended = Ended(holder.pid, _living_parts(data_dir, holder.pid))
     with _pidfd(holder.pid) as descriptor:
         if descriptor is None or start_ticks(holder.pid) != holder.start_ticks:
             return ended
@@ -75,13 +75,14 @@ def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> Ended:
     return ended
 
 
-def _living_parts(data_dir: DataDir) -> dict[str, int]:
-    """The parts by name, as the instance tells; none while it is still starting."""
+def _living_parts(data_dir: DataDir, pid: int) -> dict[str, int]:
+    """The parts by name, as the instance of this supervisor tells; none while it is still starting."""
     try:
         told = json.loads(data_dir.instance_file.read_text())
     except FileNotFoundError:
         return {}
-    return {name: pid for name, pid in told["parts"].items() if pid is not None}
+    # One that was killed leaves its own, which the next replaces only once it has started.
+    return {name: part for name, part in told["parts"].items() if part is not None and told["pid"] == pid}
 
 
 @contextlib.contextmanager

@@ -95,6 +95,17 @@ def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Insta
     assert "does not run" in again.stderr
 
 
+def test_down_names_no_parts_of_an_instance_that_was_killed(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    parts = {name: pid for name, pid in shared_instance.told["parts"].items() if pid is not None}
+    # What one leaves that is killed, and what the next has not replaced yet.
+    left = {**shared_instance.told, "pid": process.pid + 1, "parts": parts}
+    (shared_instance.data_dir / "instance.json").write_text(json.dumps(left))
+    ended = stop_instance(DataDir(shared_instance.data_dir))
+    assert (ended.pid, ended.parts) == (process.pid, {})
+    process.communicate(timeout=10)
+
+
 def test_down_never_signals_a_process_that_got_the_pid_since(shared_instance: Instance) -> None:
     with subprocess.Popen(["sleep", "1000"]) as stranger:
         lock = shared_instance.data_dir / "lock"
