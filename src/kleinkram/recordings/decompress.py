@@ -87,13 +87,14 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
 
 
 def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
+    context = lz4.frame.create_decompression_context()
     try:
-        # One byte more than claimed, so that the end mark and its checksum are read, too.
-        raw: bytes = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
+        # One byte more than claimed, so that the end mark and its checksum are read, too. By way of a context, because
+        # LZ4FrameDecompressor copies what it is given.
+        raw, _, is_whole = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
     except (RuntimeError, EOFError) as error:
         raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
-    return raw, decompressor.eof
+    return raw, is_whole
 
 
 def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:

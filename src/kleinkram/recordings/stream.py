@@ -12,8 +12,11 @@ from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, READ_AHEAD, WINDOW
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
 from kleinkram.recordings.sources import Source
+
+_STEP = 256 * 2**10
+_FIRST_BUFFER = 2 * 2**20
 
 Refill = Callable[[], bytes]
 
@@ -166,6 +169,9 @@ class Lookahead:
     """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed,
     if it is asked to.
 
+    The bytes stand in one buffer that is used again and again: what stays in the processor's cache is read about twice
+    as fast as what comes from memory.
+
     Attributes:
         window: bytes at hand; those before `at` are passed.
         at: in the window, of the next byte.
@@ -175,7 +181,11 @@ class Lookahead:
         self._forward = forward
         self._with_crc = with_crc
         self.size_bytes = forward.size_bytes
-        self.window = b""
+        # An allocation of this size, used and freed once, tells the C library to keep what is freed for the next chunk
+        # rather than to give it back: pages that come fresh from the system cost more than decompressing into them.
+        bytearray(MAX_AT_ONCE)
+        self._buffer = memoryview(bytearray(_FIRST_BUFFER))
+        self.window = self._buffer[:0]
         self.at = 0
         self._window_start = 0
         self._crc = 0
@@ -194,7 +204,7 @@ class Lookahead:
     def ahead(self, length: int) -> int:
         """Bring the next `length` bytes into the window, or what is left; return how many those are.
 
-        Never more than `MAX_AT_ONCE` and some. What the window held before is another object: take it anew.
+        Never more than `MAX_AT_ONCE` and some. What was taken of the window before is overwritten: take it anew.
         """
         length = min(length, MAX_AT_ONCE + WINDOW, self.left)
         if len(self.window) - self.at < length:
@@ -206,16 +216,16 @@ class Lookahead:
         while length > len(self.window) - self.at:
             length -= len(self.window) - self.at
             self.at = len(self.window)
-            self.ahead(min(length, READ_AHEAD))
+            self.ahead(min(length, _STEP))
         self.at += length
 
     def digest(self, length: int) -> int:
         """Pass over the next `length` bytes, and return their CRC-32."""
         crc = 0
         while length:
-            step = min(length, WINDOW)
+            step = min(length, _STEP)
             self.ahead(step)
-            crc = zlib.crc32(memoryview(self.window)[self.at : self.at + step], crc)
+            crc = zlib.crc32(self.window[self.at : self.at + step], crc)
             self.at += step
             length -= step
         return crc
@@ -224,11 +234,11 @@ class Lookahead:
         """Pass over the next bytes, at most `length`, and return them; b"" at the end of the file."""
         length = self.ahead(length)
         self.at += length
-        return self.window[self.at - length : self.at]
+        return bytes(self.window[self.at - length : self.at])
 
     def crc(self) -> int:
         """Return the CRC-32 of all that was passed since the beginning, or since `restart_crc`."""
-        self._crc = zlib.crc32(memoryview(self.window)[self._hashed : self.at], self._crc)
+        self._crc = zlib.crc32(self.window[self._hashed : self.at], self._crc)
         self._hashed = self.at
         return self._crc
 
@@ -239,16 +249,19 @@ class Lookahead:
     def _refill(self, need: int) -> None:
         if self._with_crc:
             self.crc()
-        pieces = [self.window[self.at :]]
-        have = len(pieces[0])
+        rest = self.window[self.at :]
+        have = len(rest)
+        if need + _STEP > len(self._buffer):
+            self._buffer = memoryview(bytearray(need + _STEP))
+        self._buffer[:have] = rest
         while have < need:
-            piece = self._forward.read(max(READ_AHEAD, need - have))
+            piece = self._forward.read(_STEP)
             if not piece:
                 raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
-            pieces.append(piece)
+            self._buffer[have : have + len(piece)] = piece
             have += len(piece)
         self._window_start += self.at
-        self.window = b"".join(pieces)
+        self.window = self._buffer[:have]
         self.at = self._hashed = 0
 
 
@@ -262,13 +275,13 @@ class Decompressed:
         self.size_bytes = size_bytes
         self._stream = stream
 
-    def read(self, _length: int) -> bytes:
+    def read(self, length: int) -> bytes:
         """Return the next bytes.
 
         Raises:
             Malformed: they are damaged, or end before `size_bytes`.
         """
-        piece = self._stream.take_any()
+        piece = self._stream.take_some(length)
         if not piece:
             raise Malformed("chunk", f"{self.size_bytes} bytes are claimed, {self._stream.position} came out")
         return piece

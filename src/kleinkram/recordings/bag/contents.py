@@ -14,6 +14,7 @@ from typing import NamedTuple
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Connection, Fields
 from kleinkram.recordings.bag.walking import MessageLayout, learn_layout, walk_messages
+from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
 from kleinkram.recordings.tally import Batch
@@ -73,7 +74,7 @@ class Record:
         return self.end - self.data_start
 
 
-def parse_record(data: bytes, at: int, where: str) -> Record:
+def parse_record(data: Buffer, at: int, where: str) -> Record:
     """Read the header of a record.
 
     Raises:
@@ -87,7 +88,7 @@ def parse_record(data: bytes, at: int, where: str) -> Record:
         raise Malformed(where, "rubbish where a record should begin")
     if header_at + header_bytes + _U32.size > len(data):
         raise Malformed(where, "a record breaks off")
-    fields = Fields(data[header_at : header_at + header_bytes], where)
+    fields = Fields(bytes(data[header_at : header_at + header_bytes]), where)
     opcode = fields.opcode()
     if not records.MESSAGE <= opcode <= records.CONNECTION:
         raise Malformed(where, f"a record of type {opcode}, which no bag has")
@@ -114,7 +115,7 @@ def _check_lengths(record: Record, where: str) -> None:
         raise Malformed(where, "a chunk info whose length does not fit its count")
 
 
-def find_record(data: bytes, start: int, end: int, *, outside: bool = False) -> int | None:
+def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) -> int | None:
     """Return the first place in [start, end) where the header of a record stands, whose field `op` is in there too.
 
     `outside`: only records of the kinds that stand outside of chunks.
@@ -128,7 +129,7 @@ def find_record(data: bytes, start: int, end: int, *, outside: bool = False) -> 
     return None
 
 
-def is_record(data: bytes, at: int) -> bool:
+def is_record(data: Buffer, at: int) -> bool:
     """Say whether the header of a record stands there."""
     try:
         parse_record(data, at, "")
@@ -164,12 +165,12 @@ def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool
     return Contents(holes, end)
 
 
-def walk(data: bytes, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
+def walk(data: Buffer, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
     """Pass over messages of the layout that is known; return where that ends, and where the last of them begins."""
     return walk_messages(data, at, end, facts.layout, batch) if facts.layout else (at, at)
 
 
-def read_record(data: bytes, at: int, facts: BagFacts, batch: Batch) -> int:
+def read_record(data: Buffer, at: int, facts: BagFacts, batch: Batch) -> int:
     """Read one connection or message that is wholly at hand; return where it ends.
 
     Raises:
@@ -180,7 +181,7 @@ def read_record(data: bytes, at: int, facts: BagFacts, batch: Batch) -> int:
     if record.end > len(data):
         raise Malformed(where, "a record reaches beyond the end")
     if record.opcode == records.CONNECTION:
-        define(record, data[record.data_start : record.end], facts, where)
+        define(record, bytes(data[record.data_start : record.end]), facts, where)
     elif record.opcode == records.MESSAGE:
         add_message(record, batch)
         if facts.layout is None:

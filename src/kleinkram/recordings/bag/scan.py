@@ -165,7 +165,7 @@ class _Scanner:
             self._chunks_claimed = record.fields.u32("chunk_count")
         self._stream.ahead(record.end - record.start)
         padding_at = self._stream.at + record.data_start - record.start
-        if self._stream.window[padding_at : self._stream.at + record.end - record.start].strip(b" \0"):
+        if bytes(self._stream.window[padding_at : self._stream.at + record.end - record.start]).strip(b" \0"):
             raise Malformed(where, "the bag header reaches into something else")
 
     def _note_index_record(self, record: Record, where: str) -> None:
@@ -174,7 +174,7 @@ class _Scanner:
         stream = self._stream
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
-        data = stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes]
+        data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
         if record.opcode == records.CONNECTION:
             contents.define(record, data, self.scan.facts, where)
             return
@@ -196,7 +196,7 @@ class _Scanner:
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
-                stored = memoryview(stream.window)[stream.at + head_bytes : stream.at + total]
+                stored = stream.window[stream.at + head_bytes : stream.at + total]
                 raw = decompress(compression, stored, uncompressed)
                 end = self._read_contents(raw, record.data_bytes, start, ends_early=compression == "none")
                 stream.advance(total if end == len(raw) else head_bytes + end)
@@ -271,7 +271,8 @@ class _Scanner:
         elif record.opcode == records.CONNECTION:
             inner.ahead(min(total, MAX_TAKE))
             data_at = inner.at + record.data_start - record.start
-            contents.define(record, inner.window[data_at : data_at + record.data_bytes], self.scan.facts, where)
+            data = bytes(inner.window[data_at : data_at + record.data_bytes])
+            contents.define(record, data, self.scan.facts, where)
         return total
 
     def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
@@ -304,7 +305,7 @@ class _Scanner:
                 used = 0
         else:
             stream.ahead(stream.left)
-            stored = stream.window[stream.at + head_bytes :]
+            stored = bytes(stream.window[stream.at + head_bytes :])
             raw = decompress_beginning(compression, stored, uncompressed)
             batch = Batch(scan.facts.connections)
             holes, _ = read_contents(raw, scan.facts, batch)

@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable
 from operator import itemgetter
 
+from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.tally import Batch
 
 _FIELDS = {b"op": "8s", b"conn": "9sI", b"time": "9sII"}
@@ -21,7 +22,7 @@ _U32 = struct.Struct("<I")
 class MessageLayout:
     """Where the fields of a message's header stand, learned from one of them."""
 
-    def __init__(self, order: tuple[bytes, ...], data: bytes, at: int) -> None:
+    def __init__(self, order: tuple[bytes, ...], data: Buffer, at: int) -> None:
         self.layout = struct.Struct("<I" + "".join(_FIELDS[name] for name in order) + "I")
         constants, place = [0], 1
         for name in order:
@@ -38,19 +39,19 @@ class MessageLayout:
         )
 
 
-def learn_layout(data: bytes, at: int) -> MessageLayout | None:
+def learn_layout(data: Buffer, at: int) -> MessageLayout | None:
     """Return the layout of the message record at `at`; None if it is no usual one."""
     if _U32.unpack_from(data, at)[0] != _HEADER_BYTES:
         return None
     order, place, end = [], at + _U32.size, at + _U32.size + _HEADER_BYTES
     while place < end:
         length = int(_U32.unpack_from(data, place)[0])
-        order.append(data[place + _U32.size : place + _U32.size + length].partition(b"=")[0])
+        order.append(bytes(data[place + _U32.size : place + _U32.size + length]).partition(b"=")[0])
         place += _U32.size + length
     return MessageLayout(tuple(order), data, at) if sorted(order) == sorted(_FIELDS) else None
 
 
-def walk_messages(data: bytes, at: int, end: int, layout: MessageLayout, batch: Batch) -> tuple[int, int]:
+def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
 
     Returns:

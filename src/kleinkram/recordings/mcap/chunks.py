@@ -44,13 +44,13 @@ class Contents(NamedTuple):
     fault: Malformed | None = None
 
 
-def read_chunk_head(data: bytes, at: int) -> ChunkHead:
+def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
     """Read the head of a chunk record whose lengths are known to agree."""
     at += RECORD_HEAD.size
     _first, _last, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
     name_at = at + CHUNK_FIXED.size
     data_at = name_at + name_length + _U64.size
-    name = data[name_at : name_at + name_length].decode("utf-8", "replace")
+    name = bytes(data[name_at : name_at + name_length]).decode("utf-8", "replace")
     (stored,) = _U64.unpack_from(data, data_at - _U64.size)
     return ChunkHead(name, uncompressed, crc, data_at - at + RECORD_HEAD.size, stored)
 
@@ -147,7 +147,7 @@ def _pass_record(inner: Lookahead, facts: McapFacts, batch: Batch) -> int:
         read_large_message(inner, batch)
     elif opcode in _DEFINITIONS:
         body = inner.at + RECORD_HEAD.size
-        head = inner.window[body : body + min(length, _HEAD_OF_DEFINITION)]
+        head = bytes(inner.window[body : body + min(length, _HEAD_OF_DEFINITION)])
         _DEFINITIONS[opcode](facts, head, f"byte {inner.position}")
     return total
 

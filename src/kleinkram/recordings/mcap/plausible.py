@@ -10,6 +10,7 @@ import re
 import struct
 from collections.abc import Callable, Container
 
+from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.records import RECORD_HEAD
@@ -29,7 +30,7 @@ _CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
 
 
-def record_end(data: bytes, at: int, left: int) -> int | None:
+def record_end(data: Buffer, at: int, left: int) -> int | None:
     """Return where the record at `at` ends if all its lengths agree; `left`: bytes to the end of the file.
 
     For records that are found by chance: fields behind those that the specification knows are not allowed.
@@ -47,13 +48,13 @@ def record_end(data: bytes, at: int, left: int) -> int | None:
     return body + length if needed == length else None
 
 
-def stands_outside_chunks(data: bytes, at: int, left: int) -> bool:
+def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
     """Say whether a record stands there of a kind that no chunk holds."""
     inside = (records.SCHEMA, records.CHANNEL, records.MESSAGE)
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
-def fault(data: bytes, at: int, left: int) -> str | None:
+def fault(data: Buffer, at: int, left: int) -> str | None:
     """Say what is wrong with a record that stands where one should; None: it can be followed.
 
     `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
@@ -75,7 +76,7 @@ def fault(data: bytes, at: int, left: int) -> str | None:
     return None
 
 
-def _is_unknown_kind(data: bytes, at: int, length: int, left: int) -> bool:
+def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
     after, left = at + RECORD_HEAD.size + length, left - RECORD_HEAD.size - length
     if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
         return left >= 0
@@ -84,7 +85,7 @@ def _is_unknown_kind(data: bytes, at: int, length: int, left: int) -> bool:
     return is_private or record_end(data, after, left) is not None
 
 
-def find_record(data: bytes, start: int, end: int, left: int, channels: Container[int]) -> int | None:
+def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
     """Return the first place in [start, end) where a record stands.
 
     `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
@@ -104,7 +105,7 @@ def find_record(data: bytes, start: int, end: int, left: int, channels: Containe
     return None
 
 
-def _is_followed(data: bytes, at: int, left: int, records_needed: int) -> bool:
+def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
     """Say whether so many records follow, or fewer up to the end of the file."""
     for _ in range(records_needed):
         if left == 0:
@@ -116,16 +117,16 @@ def _is_followed(data: bytes, at: int, left: int, records_needed: int) -> bool:
     return True
 
 
-def _counted(data: bytes, at: int) -> int:
+def _counted(data: Buffer, at: int) -> int:
     """Return where a string, map or array that begins with its length ends."""
     return at + _U32.size + int(_U32.unpack_from(data, at)[0])
 
 
-def _need_message(data: bytes, at: int, length: int) -> int | None:
+def _need_message(data: Buffer, at: int, length: int) -> int | None:
     return max(length, _MESSAGE_BYTES)
 
 
-def _need_chunk(data: bytes, at: int, length: int) -> int | None:
+def _need_chunk(data: Buffer, at: int, length: int) -> int | None:
     (name_length,) = _U32.unpack_from(data, at + CHUNK_FIXED.size - _U32.size)
     if name_length > MAX_NAME:
         return None
@@ -134,59 +135,59 @@ def _need_chunk(data: bytes, at: int, length: int) -> int | None:
     return int(stored_at + _U64.size + stored - at)
 
 
-def _need_schema(data: bytes, at: int, length: int) -> int | None:
+def _need_schema(data: Buffer, at: int, length: int) -> int | None:
     name_end = _counted(data, at + _U16.size)
     return _counted(data, _counted(data, name_end)) - at
 
 
-def _need_channel(data: bytes, at: int, length: int) -> int | None:
+def _need_channel(data: Buffer, at: int, length: int) -> int | None:
     topic_end = _counted(data, at + 2 * _U16.size)
     return _counted(data, _counted(data, topic_end)) - at
 
 
-def _need_message_index(data: bytes, at: int, length: int) -> int | None:
+def _need_message_index(data: Buffer, at: int, length: int) -> int | None:
     end = _counted(data, at + _U16.size)
     return None if (end - at - _U16.size - _U32.size) % 16 else end - at
 
 
-def _need_chunk_index(data: bytes, at: int, length: int) -> int | None:
+def _need_chunk_index(data: Buffer, at: int, length: int) -> int | None:
     name_at = _counted(data, at + 4 * _U64.size) + _U64.size
     return _counted(data, name_at) + 2 * _U64.size - at
 
 
-def _need_attachment(data: bytes, at: int, length: int) -> int | None:
+def _need_attachment(data: Buffer, at: int, length: int) -> int | None:
     size_at = _counted(data, _counted(data, at + 2 * _U64.size))
     size: int = _U64.unpack_from(data, size_at)[0]
     return size_at + _U64.size + size + _U32.size - at
 
 
-def _need_attachment_index(data: bytes, at: int, length: int) -> int | None:
+def _need_attachment_index(data: Buffer, at: int, length: int) -> int | None:
     return _counted(data, _counted(data, at + 5 * _U64.size)) - at
 
 
-def _need_statistics(data: bytes, at: int, length: int) -> int | None:
+def _need_statistics(data: Buffer, at: int, length: int) -> int | None:
     end = _counted(data, at + records.STATISTICS_BODY.size)
     return None if (end - at - records.STATISTICS_BODY.size - _U32.size) % 10 else end - at
 
 
-def _need_metadata(data: bytes, at: int, length: int) -> int | None:
+def _need_metadata(data: Buffer, at: int, length: int) -> int | None:
     return _counted(data, _counted(data, at)) - at
 
 
-def _need_metadata_index(data: bytes, at: int, length: int) -> int | None:
+def _need_metadata_index(data: Buffer, at: int, length: int) -> int | None:
     return _counted(data, at + 2 * _U64.size) - at
 
 
-def _need_header(data: bytes, at: int, length: int) -> int | None:
+def _need_header(data: Buffer, at: int, length: int) -> int | None:
     return _counted(data, _counted(data, at)) - at
 
 
-def _need_footer(data: bytes, at: int, length: int) -> int | None:
+def _need_footer(data: Buffer, at: int, length: int) -> int | None:
     end = at + records.FOOTER_BODY.size
     return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
 
 
-_NEEDED: dict[int, Callable[[bytes, int, int], int | None]] = {
+_NEEDED: dict[int, Callable[[Buffer, int, int], int | None]] = {
     records.HEADER: _need_header,
     records.FOOTER: _need_footer,
     records.SCHEMA: _need_schema,

@@ -146,7 +146,7 @@ class _Scanner:
             self._pass(total)
         else:
             if opcode in _READERS:
-                body = stream.window[body_at : body_at + min(length, WINDOW)]
+                body = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
                 _READERS[opcode](self.scan.facts, body, where)
             self._pass(total)
 
@@ -183,7 +183,7 @@ class _Scanner:
             return None
         stream.ahead(total + LOOK)
         batch = Batch(scan.facts.channels)
-        stored = memoryview(stream.window)[stream.at + head.data_start : stream.at + total]
+        stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         chunks.define(scan.facts, scan.tally)
         scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
@@ -221,7 +221,7 @@ class _Scanner:
         else:
             stream.ahead(stream.left)
             batch = Batch(scan.facts.channels)
-            stored = stream.window[stream.at + head.data_start :]
+            stored = bytes(stream.window[stream.at + head.data_start :])
             used = chunks.read_beginning(stored, head, scan.facts, batch)
             chunks.define(scan.facts, scan.tally)
             scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
@@ -232,7 +232,8 @@ class _Scanner:
     def _pass_attachment(self, length: int, where: str) -> None:
         stream = self._stream
         body_at = stream.at + RECORD_HEAD.size
-        records.read_attachment(self.scan.facts, stream.window[body_at : body_at + min(length, WINDOW)], where)
+        head = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
+        records.read_attachment(self.scan.facts, head, where)
         stream.advance(RECORD_HEAD.size)
         crc = stream.digest(length - _U32.size)
         (claimed,) = _U32.unpack(stream.read_up_to(_U32.size))

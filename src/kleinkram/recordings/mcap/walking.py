@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.mcap.records import MESSAGE, RECORD_HEAD
 from kleinkram.recordings.tally import Batch
 
@@ -11,7 +12,7 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
 
 
-def walk_messages(data: bytes, at: int, end: int, batch: Batch) -> tuple[int, int]:
+def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
 
     Returns:
