@@ -2,6 +2,7 @@
 
 * rosbag2: a folder with metadata.yaml and data files (.mcap, .db3, also .zstd) of one stem, such as `run_0.mcap`,
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
+  A metadata.yaml that is known to say something else counts as none.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
   recordings); for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
   `prefix_2024-05-01-10-05-00_1.bag` ..., where a smaller number begins the next recording.
@@ -82,7 +83,7 @@ def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = N
 def _group_folder(
     folder: str, paths: list[str], metadata_path: str | None, said: Rosbag2Metadata | None
 ) -> list[RecordingGroup]:
-    if metadata_path is None:
+    if metadata_path is None or (said is not None and said.is_other):
         return _group_by_name(paths)
     own = _members(folder, paths, said)
     if not own and (said is None or not said.files):

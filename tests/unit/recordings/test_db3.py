@@ -7,9 +7,11 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import zstandard
 
-from kleinkram.recordings import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings import Content, Depth, Fact, RecordingFormat, RecordingSummary
 from kleinkram.recordings.forward import FileForward
+from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.rosbag2.db3 import scan_db3
 
 from .corpus import Entry, params
@@ -178,3 +180,22 @@ def test_nothing_left(head: bytes, tmp_path: Path) -> None:
     assert summary.content is Content.broken
     assert summary.reason
     assert summary.message_count in (None, 0)
+
+
+def test_what_a_database_says_of_its_origin(tmp_path: Path) -> None:
+    """Where the messages are compressed each by itself, the database alone tells, and is read without metadata.yaml."""
+    messages = [(1, T0 + number, zstandard.compress(bytes([number]) * 100)) for number in range(5)]
+    path = make_database(tmp_path / "run_0.db3", schema="jazzy", messages=messages)
+    stated = "compression_format: zstd\ncompression_mode: MESSAGE\nros_distro: jazzy\n"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("INSERT INTO schema VALUES (4, 'jazzy')")
+        database.execute("INSERT INTO metadata VALUES (1, 9, 'compression_mode: NONE')")
+        database.execute("INSERT INTO metadata VALUES (2, 9, ?)", (stated,))
+        database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/B', 'ros2msg', 'int8 x', '')")
+        database.commit()
+    with FileForward(path) as forward:
+        summary = scan_db3(forward)
+    assert summary.compression == ("message-zstd",)
+    assert summary.facts == (Fact("ros_distro", "jazzy"), Fact("schema_version", 4), Fact("message_definitions", 1))
+    with Recording.open(path) as recording:
+        assert [message.data for message in recording.raw_messages()] == [bytes([n]) * 100 for n in range(5)]

@@ -112,7 +112,6 @@ def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None
     [
         "",
         "[",
-        "a: b",
         "rosbag2_bagfile_information: 3",
         "rosbag2_bagfile_information: {}",
         "\t\x00",

@@ -20,7 +20,8 @@ from kleinkram.recordings import (
     compare_metadata,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.inspect import Inspection, inspect_paths
+from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
+from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
 from kleinkram.recordings.rosbag2.metadata import StatedFile, StatedTopic
 
@@ -225,6 +226,16 @@ def test_the_loss_of_a_cut_database_is_what_its_metadata_claim(folder: Path) -> 
     assert summary.lost is not None
     assert summary.lost.messages == 500 - summary.message_count
     assert (summary.reason or "").endswith(f"{summary.message_count} of 500 messages can be read")
+
+
+def test_a_yaml_of_something_else_is_not_compared_with_the_data(folder: Path) -> None:
+    (folder / "metadata.yaml").write_text("robot: anymal\noperator: Ada\n")
+    (database,) = folder.glob("*.db3")
+    found = inspect_one(folder)
+    assert (found.kind, found.path) == (InspectionKind.file, str(database))
+    assert (codes(found.summary.problems), found.summary.message_count) == ([], 500)
+    with Recording.open(folder) as recording:
+        assert (len(list(recording.raw_messages())), recording.problems) == (500, ())
 
 
 def test_damaged_metadata_leave_the_data(folder: Path) -> None:

@@ -20,7 +20,7 @@ from kleinkram.recordings.reading.member import Contents, Member
 from kleinkram.recordings.reading.merging import Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.rosbag2.database import check_tables, columns, open_database, read_topics
+from kleinkram.recordings.rosbag2.database import check_tables, columns, open_database, read_origin, read_topics
 
 _LATEST_NS = 2**63 - 1
 _BLOCK_BYTES = 4 * 2**20
@@ -57,7 +57,8 @@ class DatabaseMember:
             with open_database(path) as database:
                 check_tables(database)
                 self._has_index = _has_index(database)
-                channels = _read_channels(database, message_compression)
+                compression = message_compression or read_origin(database).message_compression
+                channels = _read_channels(database, compression)
                 self.contents = _contents(database, channels, has_index=self._has_index)
         except (sqlite3.Error, Malformed) as error:
             self.contents = self._rescue(error).contents

@@ -203,6 +203,8 @@ def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | 
         source = file.source
         text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
         metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
+        if metadata is not None and metadata.is_other:
+            return None
         if metadata is None:
             noticed.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
             return None

@@ -11,6 +11,7 @@ message_definitions (Iron and later, 4). Security: sqlite.org/security.html.
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 import sys
 from collections.abc import Iterator
@@ -40,6 +41,7 @@ _PREPARE = (
 )
 _TEXT_COLUMNS = ("name", "type", "serialization_format")
 _MOST_FAULTS = 10
+_MAX_STATED = 4 * 2**20
 
 
 class TopicRow(NamedTuple):
@@ -49,6 +51,22 @@ class TopicRow(NamedTuple):
     name: str
     message_type: str
     serialization_format: str
+
+
+class Origin(NamedTuple):
+    """What a database says of where it comes from; empty, 0 or None where it says nothing.
+
+    Attributes:
+        ros_distro: such as "jazzy".
+        schema_version: of the tables.
+        definitions: how many message types it defines.
+        message_compression: how the data of each message is compressed, such as "zstd".
+    """
+
+    ros_distro: str = ""
+    schema_version: int | None = None
+    definitions: int = 0
+    message_compression: str = ""
 
 
 class MessageRow(NamedTuple):
@@ -164,6 +182,39 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
             raise Malformed("table topics", f"more than {MAX_TOPICS} topics, or very long names", certain=False)
         topics.append(row)
     return topics
+
+
+def read_origin(database: sqlite3.Connection) -> Origin:
+    """Return what the tables `schema`, `metadata` and `message_definitions` say, of which older databases have none.
+
+    Raises:
+        sqlite3.Error: one of them cannot be read.
+    """
+    distro: object = ""
+    version: object = None
+    definitions, stated = 0, ""
+    if {"schema_version", "ros_distro"} <= columns(database, "schema"):
+        row = database.execute(f"SELECT schema_version, substr(ros_distro, 1, {MAX_NAME}) FROM schema").fetchone()  # noqa: S608  # ours
+        version, distro = row or (None, "")
+    if "metadata" in columns(database, "metadata"):
+        latest = f"SELECT substr(metadata, 1, {_MAX_STATED}) FROM metadata ORDER BY rowid DESC LIMIT 1"  # noqa: S608  # ours
+        row = database.execute(latest).fetchone()
+        stated = row[0] if row and isinstance(row[0], str) else ""
+    if columns(database, "message_definitions"):
+        definitions = database.execute("SELECT count(*) FROM message_definitions").fetchone()[0]
+    is_message = _stated_value(stated, "compression_mode") == "message"
+    return Origin(
+        distro if isinstance(distro, str) else "",
+        version if isinstance(version, int) else None,
+        definitions,
+        _stated_value(stated, "compression_format") or "zstd" if is_message else "",
+    )
+
+
+def _stated_value(text: str, key: str) -> str:
+    """Return a value at the top of the metadata as a recorder writes it: YAML, one key a line, in whatever case."""
+    found = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
+    return found[1].lower() if found else ""
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:

@@ -17,16 +17,16 @@ from pathlib import Path
 from kleinkram.recordings.assemble import TopicType, bounded, measure
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.model import Content, Depth, Lost, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.rosbag2 import database as db
-from kleinkram.recordings.rosbag2.database import MessageRow, TopicRow
+from kleinkram.recordings.rosbag2.database import MessageRow, Origin, TopicRow
 from kleinkram.recordings.rosbag2.leftovers import find_leftovers
 from kleinkram.recordings.rosbag2.recovery import Recovered, Recovery
 from kleinkram.recordings.rosbag2.spool import TooLarge, database_file
 from kleinkram.recordings.timeline import Timeline
 
 _BATCH = 20_000
-_LATEST_NS = 2**63 - 1
+_NO_ORIGIN = Origin()
 _SCHEMA_ENCODING = ""
 
 
@@ -54,8 +54,9 @@ def scan_db3(forward: Forward, *, depth: Depth = Depth.scan) -> RecordingSummary
 class _Tally:
     """Messages on their way into a timeline."""
 
-    def __init__(self, topics: Iterable[TopicRow]) -> None:
+    def __init__(self, topics: Iterable[TopicRow], origin: Origin = _NO_ORIGIN) -> None:
         self.timeline = Timeline()
+        self._origin = origin
         self.types: dict[str, list[TopicType]] = {}
         self.undefined: dict[int, int] = {}
         self.unusable = 0
@@ -103,11 +104,14 @@ class _Tally:
             message_count=measured.message_count,
             start_ns=measured.start_ns,
             end_ns=measured.end_ns,
-            compression=("none",),
+            compression=(
+                f"message-{self._origin.message_compression}" if self._origin.message_compression else "none",
+            ),
             topics=measured.topics,
             problems=bounded([*problems, *self._problems(), *measured.problems]),
             depth=depth,
             lost=lost,
+            facts=tuple(_facts(self._origin)),
         )
 
     def _problems(self) -> Iterator[Problem]:
@@ -119,12 +123,21 @@ class _Tally:
             yield Problem("rows-unusable", "table messages", message)
 
 
+def _facts(origin: Origin) -> Iterator[Fact]:
+    if origin.ros_distro:
+        yield Fact("ros_distro", origin.ros_distro)
+    if origin.schema_version is not None:
+        yield Fact("schema_version", origin.schema_version)
+    if origin.definitions:
+        yield Fact("message_definitions", origin.definitions)
+
+
 def _read(path: Path, name: str, depth: Depth) -> RecordingSummary:
     try:
         with db.open_database(path) as database:
             db.check_tables(database)
             faults = db.find_faults(database) if depth is Depth.scan else []
-            tally = _Tally(db.read_topics(database))
+            tally = _Tally(db.read_topics(database), db.read_origin(database))
             cursor = db.message_cursor(database)
             while rows := cursor.fetchmany(_BATCH):
                 tally.add(rows)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 MAX_TEXT = 4 * 2**20
 _MOST_ENTRIES = 100_000
+_TOP = "rosbag2_bagfile_information"
 _MOST_DIGITS = 20
 _NULL = frozenset(("~", "null", "Null", "NULL"))
 
@@ -51,6 +52,7 @@ class Rosbag2Metadata:
         topics: in the order of the file.
         file_entries: what is said of single files; empty before version 5.
         ros_distro: such as "jazzy"; empty before version 8.
+        is_other: it is YAML of something else, such as a mission's own notes; nothing else is set then.
     """
 
     files: tuple[str, ...]
@@ -64,10 +66,11 @@ class Rosbag2Metadata:
     topics: tuple[StatedTopic, ...] = ()
     file_entries: tuple[StatedFile, ...] = ()
     ros_distro: str = ""
+    is_other: bool = False
 
 
 def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
-    """Read a metadata.yaml; None if it is not one, or not YAML.
+    """Read a metadata.yaml; None if it is a damaged one, or not YAML.
 
     Source: rosbag2_storage, `YAML::convert<BagMetadata>`, metadata versions 1 to 9.
     """
@@ -81,7 +84,9 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
         document = YAML(typ="base", pure=True).load(text)
     except (YAMLError, ValueError, TypeError, RecursionError, AttributeError, ArithmeticError, LookupError):
         return None
-    top = _mapping(_mapping(document).get("rosbag2_bagfile_information"))
+    if _mapping(document) and _TOP not in _mapping(document):
+        return Rosbag2Metadata((), is_other=True)
+    top = _mapping(_mapping(document).get(_TOP))
     if not top:
         return None
     return Rosbag2Metadata(
