@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
@@ -11,7 +12,9 @@ from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary
 from kleinkram.recordings.oddities import gathered, name_oddities
 from kleinkram.recordings.tally import Lateness
-from kleinkram.recordings.timeline import Run, Timeline, TopicTimes, bulk, within
+from kleinkram.recordings.timeline import Jump, Run, Timeline, TopicTimes, bulk, within
+
+_HOUR_NS = 3600 * 10**9
 
 
 class TopicType(NamedTuple):
@@ -44,12 +47,18 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         topic = _summarise_topic(name, types[name][0], times, run, island)
         topics.append(topic)
         problems += _problems_of_topic(topic, types[name], times)
+    jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
+    problems += tell_jumps(jumps)
+    # The silence that a jump of the clock leaves is none.
+    longest_ns = min((jump.before_ns - jump.after_ns for jump in jumps.values()), default=None)
+    longest_ns = longest_ns // 2 if longest_ns is not None else None
+    span_ns = island.last_ns - island.first_ns if island else None
     return Measured(
         topics=tuple(topics),
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=(*problems, *name_oddities(topics, island.last_ns - island.first_ns if island else None)),
+        problems=(*problems, *name_oddities(topics, span_ns, longest_silence_ns=longest_ns)),
     )
 
 
@@ -104,6 +113,26 @@ def pending(kind: RecordingFormat, size_bytes: int, why: str, problems: Sequence
     """Return the summary of a recording that would have to be read whole, which was not wanted here."""
     reason = f"{why}; to know its content, all its {size_bytes} bytes must be read (a scan)"
     return RecordingSummary(kind, Content.pending, reason, problems=bounded(problems))
+
+
+def tell_jumps(jumps: Mapping[str, Jump]) -> list[Problem]:
+    """Say where the clock was set back, by the topic on which it shows most."""
+    if not jumps:
+        return []
+    name, jump = max(jumps.items(), key=lambda item: item[1].before_ns - item[1].after_ns)
+    back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
+    forward = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
+    where = name if len(jumps) == 1 else f"{len(jumps)} topics"
+    message = f"{back}{forward}: the clock was set while it recorded, so order, span and gaps are not to be trusted"
+    return [Problem("clock-jump", where, message)]
+
+
+def _span(time_ns: int) -> str:
+    return f"{time_ns / _HOUR_NS:.3g} h" if time_ns > 0.9 * _HOUR_NS else f"{time_ns / 1e9:.1f} s"
+
+
+def _time(stamp_ns: int) -> str:
+    return f"{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:

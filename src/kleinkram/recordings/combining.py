@@ -21,6 +21,7 @@ _WORST_FIRST = (
 )
 _READABLE = (Content.indexed, Content.recovered)
 _MOST_FACTS = 100
+_CLOCK_JUMP = "clock-jump"
 _OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-gap"))
 """Problems that a member has by being one of several; looked for again in the whole."""
 
@@ -58,7 +59,13 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
             [
                 *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
                 *_changed_types(summaries),
-                *name_oddities(topics, island.last_ns - island.first_ns if island else None),
+                *name_oddities(
+                    topics,
+                    island.last_ns - island.first_ns if island else None,
+                    longest_silence_ns=0
+                    if any(one.code == _CLOCK_JUMP for each in summaries for one in each.problems)
+                    else None,
+                ),
             ]
         ),
         library=first.library,

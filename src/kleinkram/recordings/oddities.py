@@ -7,6 +7,7 @@ one that speaks rarely has long pauses by nature: a silence counts from ten of t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from kleinkram.recordings.model import Problem, TopicSummary
 
@@ -21,10 +22,15 @@ _OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/eve
 """Topics that speak when something happens, and are silent in the best of recordings."""
 
 
-def name_oddities(topics: Iterable[TopicSummary], span_ns: int | None) -> list[Problem]:
-    """Return what is odd, of each kind at most a few. `span_ns`: of the whole recording."""
+def name_oddities(
+    topics: Iterable[TopicSummary], span_ns: int | None, *, longest_silence_ns: int | None = None
+) -> list[Problem]:
+    """Return what is odd, of each kind at most a few.
+
+    `span_ns`: of the whole recording. `longest_silence_ns`: what is longer is the clock's doing; None: nothing is.
+    """
     silent, late, early, gaps = [], [], [], []
-    for topic in topics:
+    for topic in topics if longest_silence_ns is None else (_credible(one, longest_silence_ns) for one in topics):
         if topic.name in _OF_ROS_ITSELF:
             continue
         if not topic.count:
@@ -34,6 +40,15 @@ def name_oddities(topics: Iterable[TopicSummary], span_ns: int | None) -> list[P
             early += _stops_early(topic, topic.rate_hz, span_ns)
             gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
     return [*gathered(silent), *gathered(late), *gathered(early), *gathered(gaps)]
+
+
+def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
+    """Return a topic without the silences that are too long to be any."""
+    head_ns, tail_ns, gap_ns = (
+        None if silence_ns is None or silence_ns > longest_ns else silence_ns
+        for silence_ns in (topic.head_gap_ns, topic.tail_gap_ns, topic.longest_gap_ns)
+    )
+    return replace(topic, head_gap_ns=head_ns, tail_gap_ns=tail_ns, longest_gap_ns=gap_ns)
 
 
 def _starts_late(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:

@@ -9,6 +9,9 @@ gap of that topic is an upper bound, and the summary says so.
 **Suspect stamps.** Sorted by time, the messages of a recording fall into islands with more than a year of silence
 between them. The island with the most messages is the recording; stamps in all others (1970, or a clock that jumped)
 are suspect: counted, reported, and left out of spans, rates and gaps.
+
+**Jumps of the clock.** A stamp more than `LEAST_JUMP_NS` below the one before it on its topic, in the order of the
+file, is no buffer that was written late, but a clock that was set back; the largest of a topic is kept.
 """
 
 from __future__ import annotations
@@ -16,13 +19,14 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 from operator import itemgetter, lt, sub
 
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
+LEAST_JUMP_NS = 10 * 1_000_000_000
 _KEY_BITS = 20
 
 
@@ -36,6 +40,21 @@ class Run:
     longest_gap_ns: int
 
 
+@dataclass(frozen=True)
+class Jump:
+    """A clock that was set back: stamps that follow each other in the file.
+
+    Attributes:
+        before_ns: the last stamp before.
+        after_ns: the first one after it, earlier.
+        return_ns: the first one after the clock was set forward again; None: it was not.
+    """
+
+    before_ns: int
+    after_ns: int
+    return_ns: int | None = None
+
+
 @dataclass
 class TopicTimes:
     """What is known of the stamps of one topic so far."""
@@ -44,6 +63,8 @@ class TopicTimes:
     out_of_order: int = 0
     stored_bytes: int = 0
     latest_ns: int = -1
+    previous_ns: int = -1
+    jump: Jump | None = None
     earliest_pending_ns: int = 0
     runs: list[Run] = field(default_factory=list)
     gaps_are_upper_bounds: bool = False
@@ -55,13 +76,31 @@ class TopicTimes:
             return
         self.count += len(stamps)
         highest = max(stamps)
-        if stamps[0] < self.latest_ns or any(map(lt, stamps[1:], stamps)):
+        is_disordered = stamps[0] < self.latest_ns or any(map(lt, stamps[1:], stamps))
+        if is_disordered:
             before = accumulate(stamps, max, initial=self.latest_ns)
             self.out_of_order += sum(map(lt, stamps, before))
+        if is_disordered or (self.jump is not None and self.jump.return_ns is None):
+            self._watch_clock(stamps)
+        self.previous_ns = stamps[-1]
         self.latest_ns = max(self.latest_ns, highest)
         earliest = min(stamps)
         self.earliest_pending_ns = min(self.earliest_pending_ns, earliest) if self.pending else earliest
         self.pending.extend(stamps)
+
+    def _watch_clock(self, stamps: Sequence[int]) -> None:
+        """Note the largest jump back, and where the clock was set forward again."""
+        before = [self.previous_ns if self.previous_ns >= 0 else stamps[0], *stamps[:-1]]
+        steps = list(map(sub, stamps, before))
+        back_ns = -min(steps)
+        known_ns = self.jump.before_ns - self.jump.after_ns if self.jump is not None else LEAST_JUMP_NS
+        if known_ns < back_ns < YEAR_NS:
+            at = steps.index(-back_ns)
+            self.jump, known_ns = Jump(before[at], stamps[at]), back_ns
+            steps[: at + 1] = [0] * (at + 1)
+        forward_ns = max(steps)
+        if self.jump is not None and self.jump.return_ns is None and 2 * forward_ns > known_ns:
+            self.jump = replace(self.jump, return_ns=stamps[steps.index(forward_ns)])
 
     def settle(self, before_ns: int | None) -> None:
         """Turn pending stamps below `before_ns` (None: all) into runs."""
@@ -77,9 +116,9 @@ class TopicTimes:
 
     def append(self, later: TopicTimes) -> None:
         """Add what is known of stamps that follow in the file."""
-        out_of_order = self.out_of_order + later.out_of_order
+        out_of_order, jump = self.out_of_order + later.out_of_order, self.jump or later.jump
         self.add(later.pending)
-        self.out_of_order = out_of_order
+        self.out_of_order, self.jump = out_of_order, jump
         self.count += later.count - len(later.pending)
         self.stored_bytes += later.stored_bytes
         self.latest_ns = max(self.latest_ns, later.latest_ns)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from io import BytesIO
 
-from kleinkram.recordings import Problem, summarise
+import pytest
+
+from kleinkram.recordings import Problem, combine, summarise
 from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap.writer import McapWriter
 from kleinkram.recordings.summary import scan
@@ -45,6 +47,48 @@ def test_a_healthy_recording_has_no_problems() -> None:
         "/slow": list(range(0, 100, 10)),
     }
     assert problems(topics) == []
+
+
+def stamped(stamps: list[int]) -> MemorySource:
+    """Return a recording of two topics with these stamps (seconds), in this order, in small chunks."""
+    out = BytesIO()
+    writer = McapWriter(out, chunk_bytes=500)
+    channels = [writer.add_channel(topic, 0, "cdr") for topic in ("/imu", "/lidar")]
+    for stamp in stamps:
+        for channel in channels:
+            writer.add_message(channel, T0 + stamp * SECOND, b"x", publish_time_ns=T0 + stamp * SECOND)
+    writer.finish()
+    return MemorySource(out.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("stamps", "told"),
+    [
+        pytest.param(
+            [*range(100), *range(-3500, -3400), *range(200, 300)],
+            "forward again at 2023-11-14T22:16:40Z",
+            id="and back",
+        ),
+        pytest.param(
+            [*range(4000, 4100), *range(100)], "log times jump back by 1.14 h at 2023-11-14T23:21:39Z:", id="stays"
+        ),
+        pytest.param([*range(100), *range(85, 185)], "log times jump back by 14.0 s", id="little"),
+    ],
+)
+def test_a_clock_that_was_set_back(stamps: list[int], told: str) -> None:
+    source = stamped(stamps)
+    found = summarise(source).problems
+    assert scan(from_source(source)).problems == found
+    (problem,) = found
+    assert (problem.code, problem.where) == ("clock-jump", "2 topics")
+    assert told in problem.message
+    both = combine([summarise(source), summarise(stamped(list(range(5000, 5100))))])
+    assert [problem.code for problem in both.problems] == ["clock-jump"]
+
+
+def test_what_is_written_late_is_no_jump() -> None:
+    late = [stamp for start in range(0, 100, 9) for stamp in (*range(start + 1, start + 9), start)]
+    assert summarise(stamped(late)).problems == ()
 
 
 def test_a_sensor_that_dies() -> None:
