@@ -69,7 +69,7 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
 def _beginning_of(stream: ForwardStream) -> bytes:
     pieces: list[bytes] = []
     with suppress(Malformed):
-        pieces.extend(iter(stream.take_any, b""))
+        pieces.extend(iter(stream.take_some, b""))
     return b"".join(pieces)
 
 
@@ -83,7 +83,7 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
     # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
     pieces = [bytes(stored)]
     stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
-    return b"".join(iter(stream.take_any, b""))
+    return b"".join(iter(stream.take_some, b""))
 
 
 def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:

@@ -72,14 +72,8 @@ class ForwardStream:
         self._move(length, data)
         return data
 
-    def take_any(self) -> bytes:
-        """Return the next bytes, as many as are at hand; b"" at the end."""
-        if self.at_end():
-            return b""
-        return self.take(len(self._window) - self._at)
-
-    def take_some(self, most: int) -> bytes:
-        """Return some of the next bytes: at least one and at most `most`; b"" at the end."""
+    def take_some(self, most: int = MAX_TAKE) -> bytes:
+        """Return some of the next bytes, those at hand: at least one and at most `most`; b"" at the end."""
         if self.at_end():
             return b""
         return self.take(min(most, len(self._window) - self._at))

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Fields
+from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER
 from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable
 from kleinkram.recordings.reading.mcap_chunks import RunBuilder
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Schema, Selection
-from kleinkram.recordings.reading.unpacking import Buffer
 from kleinkram.recordings.stream import ForwardStream
 
 MESSAGE_DATA = 0x02

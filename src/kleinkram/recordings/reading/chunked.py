@@ -12,21 +12,24 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 
-from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.decompress import Buffer, decompress, open_decompressed
 from kleinkram.recordings.errors import Malformed, SourceError
-from kleinkram.recordings.limits import MAX_READ, WINDOW
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_READ, WINDOW
 from kleinkram.recordings.reading.ahead import Job, do_ahead
 from kleinkram.recordings.reading.chunk_table import CHUNK, RECORDS, ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.reading.unpacking import MAX_CHUNK_HELD, Buffer, limited, unpack
+from kleinkram.recordings.reading.unpacking import limited
 from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
 from kleinkram.recordings.sources import FileSource, Source
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
 
 MAX_MESSAGE = 64 * 2**20
 """Bytes of one message; a larger one is left out."""
+
+MAX_CHUNK_HELD = MAX_AT_ONCE
+"""Bytes of a chunk, decompressed, that are held in memory; a larger one is spooled to a temporary file."""
 
 MAX_AHEAD = 32 * 2**20
 """Bytes of chunks that are fetched and decompressed ahead."""
@@ -153,7 +156,7 @@ class _Reader:
                 return None
             start = stream.position - row.start
             stored = memoryview(data)[start : start + head.stored_bytes]
-            content = unpack(head.compression, stored, head.uncompressed_bytes)
+            content = decompress(head.compression, stored, head.uncompressed_bytes)
             if head.crc and zlib.crc32(content) != head.crc:
                 return Malformed(f"byte {row.start}", "its checksum is wrong")
         except Malformed as error:

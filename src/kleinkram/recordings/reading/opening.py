@@ -19,6 +19,7 @@ from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.reading.member import Member, check_cost, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.recovered_member import open_recovered
+from kleinkram.recordings.rosbag2.comparing import compare_names
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import sniff
@@ -208,15 +209,7 @@ def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | 
         if metadata is None:
             noticed.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
             return None
-        _name_missing(metadata, names, noticed)
+        for problem in compare_names(metadata, names - {METADATA_NAME}):
+            noticed.add(problem.code, problem.where, problem.message)
         return metadata
     return None
-
-
-def _name_missing(metadata: Rosbag2Metadata, names: set[str], noticed: Noticed) -> None:
-    claimed = [PurePosixPath(path).name for path in metadata.files]
-    for missing in claimed:
-        if missing not in names:
-            noticed.add("member-missing", missing, "metadata.yaml names it, but it is not there")
-    for surplus in sorted(names - {METADATA_NAME, *claimed}):
-        noticed.add("member-surplus", surplus, "it is there, but metadata.yaml does not name it")

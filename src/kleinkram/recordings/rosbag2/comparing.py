@@ -51,7 +51,7 @@ def compare_metadata(
     `members` in the order of recording. Counts and times of the whole are compared only where all files are there
     and their counts are known; times agree within 1 ms. Topics that are not given are not compared.
     """
-    problems = _compare_names(metadata, [member.name for member in members])
+    problems = compare_names(metadata, [member.name for member in members])
     is_complete = not problems and bool(members)
     problems += _compare_files(metadata, members)
     by_name = {topic.name: topic for topic in topics}
@@ -73,7 +73,8 @@ def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
     return max(0, metadata.message_count - sum(known))
 
 
-def _compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Problem]:
+def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Problem]:
+    """Say which data files metadata.yaml names and are not there, and which are there unnamed."""
     claimed = {PurePosixPath(path).name for path in metadata.files}
     there = set(names)
     missing = [
