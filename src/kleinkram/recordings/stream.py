@@ -13,6 +13,7 @@ from pathlib import Path
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
+from kleinkram.recordings.memory import keep_freed_memory
 from kleinkram.recordings.sources import Source
 
 _STEP = 256 * 2**10
@@ -175,9 +176,7 @@ class Lookahead:
         self._forward = forward
         self._with_crc = with_crc
         self.size_bytes = forward.size_bytes
-        # An allocation of this size, used and freed once, tells the C library to keep what is freed for the next chunk
-        # rather than to give it back: pages that come fresh from the system cost more than decompressing into them.
-        bytearray(MAX_AT_ONCE)
+        keep_freed_memory()
         self._buffer = memoryview(bytearray(_FIRST_BUFFER))
         self.window = self._buffer[:0]
         self.at = 0

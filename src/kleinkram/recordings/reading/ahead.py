@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Generic, NamedTuple, TypeVar
 
+from kleinkram.recordings.memory import keep_freed_memory
+
 T = TypeVar("T")
 
 
@@ -26,6 +28,7 @@ def do_ahead(jobs: Iterator[Job[T]], *, workers: int, most_bytes: int) -> Iterat
     first = next(jobs, None)
     if first is None:
         return
+    keep_freed_memory()
     yield first.run()
     with ThreadPoolExecutor(workers, thread_name_prefix="read-ahead") as pool:
         under_way: deque[tuple[int, Future[T]]] = deque()
