@@ -9,6 +9,7 @@ import pytest
 from alembic import command
 
 from kleinkram.server.migrations import alembic_config
+from tests.integration.corpus import Corpus, upload_corpus
 from tests.integration.running import Api, serving
 from tests.integration.sample import Sample
 from tests.stack import RunningPostgres, RunningStore
@@ -60,3 +61,9 @@ def api(start_api: StartApi) -> Api:
 def sample(api: Api) -> Sample:
     """Files put into missions behind the API's back, as if they had been uploaded and summarised."""
     return Sample(api)
+
+
+@pytest.fixture(scope="session")
+def corpus(start_api: StartApi, recordings_dir: Path) -> Corpus:
+    """The real recordings in a mission of an API of their own, summarised, proven and grouped."""
+    return upload_corpus(start_api(), recordings_dir)

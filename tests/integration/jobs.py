@@ -11,6 +11,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.queue import queue
+from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
@@ -20,11 +21,11 @@ T = TypeVar("T")
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"
 
 
-def run_jobs(api: Api) -> None:
-    """Run every job that waits, and those that they cause."""
+def run_jobs(api: Api, *, store: str | None = None) -> None:
+    """Run every job that waits, and those that they cause; with the store at another address, if one is given."""
     assert worker.JOB_MODULES
     while api.sql(_DUE) != [(0,)]:
-        on_site(api, _drain)
+        on_site(api, _drain, store=store)
 
 
 async def _drain(site: Site) -> None:
@@ -38,13 +39,20 @@ async def _drain(site: Site) -> None:
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
-                additional_context={"site": site, "readers": readers, "courtesy": courtesy},
+                additional_context={
+                    "site": site,
+                    "readers": readers,
+                    "courtesy": courtesy,
+                    "understanding": Understanding(),
+                },
             )
 
 
-def on_site(api: Api, work: Callable[[Site], Awaitable[T]]) -> T:
+def on_site(api: Api, work: Callable[[Site], Awaitable[T]], *, store: str | None = None) -> T:
     """Do something with a database and a store of its own, as a job would."""
     settings: Settings = api.app.state.settings
+    if store is not None:
+        settings = settings.model_copy(update={"s3_internal_url": store})
 
     async def run() -> T:
         database = open_database(settings, statement_timeout_s=None)

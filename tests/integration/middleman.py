@@ -44,7 +44,12 @@ class Lost:
     """The store gets the request and does it; its answer never arrives."""
 
 
-Rule = Callable[[Asked], "Reply | Lost | None"]
+@dataclass(frozen=True)
+class Cut:
+    """The store's answer breaks off in the middle of its body."""
+
+
+Rule = Callable[[Asked], "Reply | Lost | Cut | None"]
 Edit = Callable[[Asked, bytes], bytes]
 
 
@@ -75,7 +80,9 @@ class Middleman:
         if isinstance(decided, Lost):
             request.close_connection = True
             return
-        _answer(request, status, answered, self.edit(asked, content))
+        if isinstance(decided, Cut):
+            request.close_connection = True
+        _answer(request, status, answered, self.edit(asked, content), cut=isinstance(decided, Cut))
 
     def _ask_store(
         self, request: BaseHTTPRequestHandler, headers: Mapping[str, str], body: bytes
@@ -94,14 +101,16 @@ class Middleman:
             connection.close()
 
 
-def _answer(request: BaseHTTPRequestHandler, status: int, headers: Mapping[str, str], body: bytes) -> None:
+def _answer(
+    request: BaseHTTPRequestHandler, status: int, headers: Mapping[str, str], body: bytes, *, cut: bool = False
+) -> None:
     length = headers.get("content-length", "0") if request.command == "HEAD" else str(len(body))
     request.send_response_only(status)
     for name, value in {**headers, "content-length": length}.items():
         request.send_header(name, value)
     request.end_headers()
     if request.command != "HEAD":
-        request.wfile.write(body)
+        request.wfile.write(body[: len(body) // 2] if cut else body)
 
 
 @contextmanager

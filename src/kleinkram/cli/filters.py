@@ -41,7 +41,8 @@ class Choice:
         None
     )
     content: Annotated[
-        Many, typer.Option("--content", metavar="STATE", help="Content: pending, indexed, broken, opaque, …")
+        Many,
+        typer.Option("--content", metavar="STATE", help="Content: pending, indexed, recovered, broken, opaque, error."),
     ] = None
     after: Annotated[str | None, typer.Option("--after", metavar="TIME", help="Recorded after this time.")] = None
     before: Annotated[str | None, typer.Option("--before", metavar="TIME", help="Recorded before this time.")] = None

@@ -74,12 +74,13 @@ def show_recordings(recordings: Iterable[RecordingRead]) -> None:
     """Print recordings as a table, and what is odd about them below."""
     rows = [*recordings]
     table(
-        ["recording", "kind", "files", "messages", "start", "span", "size"],
+        ["recording", "kind", "files", "content", "messages", "start", "span", "size"],
         [
             (
                 row.name,
                 row.kind,
                 len(row.file_ids),
+                row.content.value,
                 row.message_count,
                 instant(row.start_ns),
                 span(row.start_ns, row.end_ns),
@@ -89,13 +90,12 @@ def show_recordings(recordings: Iterable[RecordingRead]) -> None:
         ],
     )
     odd = [
-        *((row.name, "missing", name) for row in rows for name in row.missing),
-        *((row.name, "surplus", name) for row in rows for name in row.surplus),
+        *((row.name, row.content.value, row.content_reason) for row in rows if row.content_reason),
         *((row.name, problem.where, problem.message) for row in rows for problem in row.problems),
     ]
     if odd:
         line("")
-        table(["recording", "where", "problem"], odd)
+        table(["recording", "what", "to know"], odd)
 
 
 def show_files(files: Iterable[FileRead]) -> None:

@@ -140,7 +140,11 @@ class TopicRead(BaseModel):
 
 
 class RecordingRead(BaseModel):
-    """One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks."""
+    """One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
+
+    `content` is that of all members together: `recovered` where something can be read and something is damaged or
+    missing. `problems` are those of the whole; what is odd inside one file is among the problems of that file.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -153,6 +157,9 @@ class RecordingRead(BaseModel):
     missing: list[str]
     surplus: list[str]
     problems: list[FileProblem]
+    content: ContentState
+    content_reason: str | None
+    lost: FileLoss | None
     start_ns: int | None
     end_ns: int | None
     message_count: int | None

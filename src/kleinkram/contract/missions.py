@@ -54,7 +54,8 @@ class MissionRead(BaseModel):
 
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-    content nobody has looked at yet; `recordings_current` says whether recordings and span follow from today's files.
+    content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
+    recordings and span follow from today's files.
     """
 
     model_config = ConfigDict(frozen=True)

@@ -80,7 +80,8 @@ def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
         ["run_1.mcap"],
         ["run_7.mcap"],
     )
-    assert "run_1.mcap" in recording["problems"][0]["message"]
+    assert ("member-missing", "run_1.mcap") in {(each["code"], each["where"]) for each in recording["problems"]}
+    assert (recording["content"], recording["lost"]["messages"]) == ("broken", 9)
 
 
 def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None:

@@ -2,6 +2,7 @@
 
 import sqlite3
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ from kleinkram.recordings.mcap.index import read_footer
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
-from tests.integration.jobs import run_jobs
+from kleinkram.server.settings import Settings
+from tests.integration.corpus import Corpus
+from tests.integration.jobs import on_site, run_jobs
+from tests.integration.middleman import Asked, Cut, standing_before
 from tests.integration.running import Api
 from tests.integration.uploading import upload
 
@@ -30,6 +34,10 @@ def _api(start_api: Any) -> Api:
 @pytest.fixture(name="mission_id")
 def _mission_id(api: Api) -> str:
     return str(api.mission(api.project()["id"])["id"])
+
+
+def _key(api: Api, file_id: str) -> str:
+    return str(api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0][0])
 
 
 def test_a_flipped_byte_is_found_by_the_proof(api: Api, mission_id: str, tmp_path: Path) -> None:
@@ -64,7 +72,16 @@ def test_a_recording_without_index_that_is_too_large_to_be_read_at_once(
     db.close()
     assert database.stat().st_size > _MOST_AT_ONCE
     file = upload(api, mission_id, "run_0.db3", database.read_bytes())
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = now() + interval '1 h' WHERE task_name = 'prove_blob'")
     run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"], read["depth"]) == ("stored", "pending", "summary")
+    assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 1, "whoever waits, waits for the scan"
+    waiting = "SELECT priority FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'todo'"
+    assert api.sql(waiting) == [(10,)], "before those that nobody waits for"
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = NULL WHERE task_name = 'prove_blob'")
+    run_jobs(api)
+    assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 0
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["content"], read["depth"], read["format"]) == ("indexed", "scan", "db3")
     assert read["message_count"] == 65
@@ -90,24 +107,85 @@ def test_a_reader_that_dies_leaves_the_proof(
     assert "no luck today" in read["content_reason"]
 
 
-def test_every_real_recording_says_the_same_on_the_server(api: Api, mission_id: str, recordings_dir: Path) -> None:
-    paths = [path for path in sorted(recordings_dir.rglob("*")) if path.is_file() and path.name != "manifest.json"]
-    ids = {}
-    for path in paths:
-        name = path.relative_to(recordings_dir).as_posix()
-        ids[name] = upload(api, mission_id, name, path.read_bytes())["id"]
+_ANSWERS_EARLY = """
+import json, sys
+sys.stdin.buffer.readline()
+sys.stdin.buffer.read(1000)
+sys.stdout.write(json.dumps({"summary": {"format": "mcap", "content": "indexed", "message_count": 1}}) + "\\n")
+sys.stdout.flush()
+"""
+
+
+def test_a_reader_that_answers_before_it_was_given_everything_is_not_believed(
+    api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=14)
+    file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
+    api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
+    monkeypatch.setattr(reading, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
     run_jobs(api)
-    for path in paths:
-        name = path.relative_to(recordings_dir).as_posix()
-        read = api.get(f"/files/{ids[name]}").ok()
-        with from_file(path) as forward:
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"], read["message_count"]) == ("proven", "error", None)
+
+
+def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, mission_id: str, tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "run.mcap", size_bytes=6_000_000, seed=15)
+    file = upload(api, mission_id, "run.mcap", truth.path.read_bytes())
+    api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
+    key = _key(api, file["id"])
+    settings: Settings = api.app.state.settings
+    cut: list[str] = []
+
+    def break_off(asked: Asked) -> Cut | None:
+        if asked.method != "GET" or not asked.key.endswith(key):
+            return None
+        cut.append(asked.key)
+        return Cut()
+
+    with standing_before(settings.s3_internal_url) as middleman:
+        middleman.rule = break_off
+        run_jobs(api, store=middleman.url)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert cut
+    assert (read["state"], read["content"], read["depth"], read["summarised_at"]) == ("stored", "pending", None, None)
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = now()")
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"], read["depth"]) == ("proven", "indexed", "scan")
+    assert read["message_count"] == truth.message_count
+
+
+@pytest.mark.parametrize("altered", ["shorter", "longer"])
+def test_bytes_of_another_number_are_no_recording_to_read(
+    api: Api, mission_id: str, tmp_path: Path, altered: str
+) -> None:
+    body = generate_mcap(tmp_path / "run.mcap", size_bytes=500_000, seed=16).path.read_bytes() + altered.encode()
+    file = upload(api, mission_id, "run.mcap", body)
+    key = _key(api, file["id"])
+    api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
+    on_site(api, lambda site: site.storage.put_small(key, body[:-9] if altered == "shorter" else body + b"more\n"))
+    began_at = time.monotonic()
+    run_jobs(api)
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["content"], read["depth"]) == ("corrupt", "pending", None)
+    assert time.monotonic() - began_at < api.app.state.settings.summary_timeout_s, "nobody waits for what is not there"
+
+
+def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> None:
+    api = corpus.api
+    listed = {each["path"]: each for each in api.all("/files", {"mission_id": corpus.mission_id})}
+    topics: dict[str, set[tuple[str, str, int]]] = {}
+    for topic in api.all("/topics", {"mission_id": corpus.mission_id, "limit": "500"}):
+        topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
+    assert listed.keys() == corpus.files.keys()
+    for name, read in listed.items():
+        with from_file(corpus.folder / name) as forward:
             here = scan(forward)
         assert read["state"] == "proven", name
         assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name
         assert (read["start_ns"], read["end_ns"]) == (here.start_ns, here.end_ns), name
         assert (read["lost"] and Lost(**read["lost"])) == here.lost, name
-        topics = {(t["name"], t["message_type"], t["count"]) for t in api.all(f"/files/{ids[name]}/topics")}
-        assert topics == {(t.name, t.message_type, t.count) for t in here.topics}, name
+        assert topics.get(read["id"], set()) == {(t.name, t.message_type, t.count) for t in here.topics}, name
 
 
 def test_a_recording_that_is_compressed_as_a_whole(api: Api, mission_id: str, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import psutil
 import pytest
 
+from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.settings import Settings
 from tests.integration.middleman import Asked, standing_before
 from tests.integration.running import Api
@@ -47,15 +48,23 @@ def _worker(settings: Settings, **changes: str) -> Iterator["subprocess.Popen[by
         assert process.wait(30) in {0, -signal.SIGKILL, -signal.SIGTERM}
 
 
-def test_a_job_whose_worker_died_is_done_by_the_next(api: Api) -> None:
+@pytest.mark.parametrize("end", ["killed", "told twice to stop"])
+def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path, end: str) -> None:
+    """In the middle of proving a recording, while a child scans along."""
+    truth = generate_mcap(tmp_path / "run.mcap", size_bytes=4 << 20, seed=len(end))
     mission_id = api.mission(api.project()["id"])["id"]
-    file = upload(api, mission_id, "run.bin", os.urandom(4 << 20))
+    file = upload(api, mission_id, "run.mcap", truth.path.read_bytes())
     settings: Settings = api.app.state.settings
     doing = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'doing'"
     with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1048576") as worker:
-        wait_until(lambda: api.sql(doing) == [(1,)])
-        worker.kill()
+        wait_until(lambda: api.sql(doing) == [(1,)] and api.get(f"/files/{file['id']}").ok()["depth"] == "summary")
+        readers = psutil.Process(worker.pid).children()
+        for _ in range(2):
+            worker.kill() if end == "killed" else worker.terminate()
         worker.wait(10)
+    assert psutil.wait_procs(readers, timeout=10)[1] == [], "a reader outlived its worker"
+    read = api.get(f"/files/{file['id']}").ok()
+    assert (read["state"], read["depth"]) == ("stored", "summary")
     # As if a periodic job had died too, with its next round queued already: that one must not stop the rescue.
     api.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, lock, queueing_lock, args, status)"
@@ -65,6 +74,8 @@ def test_a_job_whose_worker_died_is_done_by_the_next(api: Api) -> None:
     api.sql("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 hour'")
     with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1000000000"):
         wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "proven", limit_s=60)
+        read = api.get(f"/files/{file['id']}").ok()
+        assert (read["content"], read["depth"], read["message_count"]) == ("indexed", "scan", truth.message_count)
         stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'sweep' AND status = 'doing'"
         wait_until(lambda: api.sql(stuck) == [(0,)])
 
@@ -77,16 +88,18 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
     settings: Settings = api.app.state.settings
     reading, may_go_on = threading.Event(), threading.Event()
 
-    def hold_second_range(asked: Asked) -> None:
-        if "range" in asked.headers and not asked.headers["range"].startswith("bytes=0-"):
+    def hold(asked: Asked) -> None:
+        if asked.method != "GET":
+            return
+        if "range" not in asked.headers:  # proving reads the content too: it does not come to that
+            may_go_on.wait(60)
+        elif not asked.headers["range"].startswith("bytes=0-"):
             reading.set()
             may_go_on.wait(60)
 
     with standing_before(settings.s3_internal_url) as middleman:
-        middleman.rule = hold_second_range
-        # Proving reads the content too: so slowly that it does not come to its end.
-        slowly = {"KLEINKRAM_PROVING_BYTES_PER_S": "10000"}
-        with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url, **slowly) as worker:
+        middleman.rule = hold
+        with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url) as worker:
             assert reading.wait(30), "nobody began to read"
             readers = psutil.Process(worker.pid).children()
             assert readers, "recordings are read in a child"

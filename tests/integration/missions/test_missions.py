@@ -112,11 +112,14 @@ def test_counts_files_bytes_and_messages(api: Api, sample: Sample) -> None:
     made = api.mission(api.project()["id"])
     sample.file(made["id"], "a.mcap", size_bytes=10, message_count=5)
     sample.file(made["id"], "b.mcap", size_bytes=20, content="pending", summarised_at=None)
+    # Too large to be summarised: the proof will read it, unless the bytes turn out to be damaged.
+    sample.file(made["id"], "d.db3", size_bytes=1, content="pending")
+    sample.file(made["id"], "e.db3", size_bytes=1, content="pending", state="lost")
     gone = sample.file(made["id"], "c.mcap", size_bytes=40, message_count=9)
     api.delete(f"/files/{gone}").ok()
     seen = api.get(f"/missions/{made['id']}").ok()
     amounts = ("file_count", "size_bytes", "message_count", "pending_file_count")
-    assert [seen[amount] for amount in amounts] == [2, 30, 5, 1]
+    assert [seen[amount] for amount in amounts] == [4, 32, 5, 2]
 
 
 def test_a_deleted_mission_is_gone_with_its_files_and_its_name_is_free(api: Api, sample: Sample) -> None:

@@ -11,6 +11,7 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.contract.names import file_name
 from kleinkram.recordings import (
+    Content,
     FailureKind,
     RecordingSummary,
     StreamRequest,
@@ -24,7 +25,7 @@ from kleinkram.server.blobs.proving import Found, read_through
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
-from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.jobs.queue import Job, hasten, queue
 from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.site import Site
@@ -57,6 +58,9 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
             await service.keep_failure(db, blob_id, str(failure))
         return
     await _keep_summary(site, blob_id, summary)
+    if summary.content is Content.pending:  # only the proof reads it: somebody may wait for that
+        async with site.database.begin() as db:
+            await hasten(db, Job.prove_blob, blob_id)
 
 
 async def _keep_summary(site: Site, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
@@ -109,12 +113,17 @@ async def prove_blob(context: JobContext, ref: str) -> None:
     if difference:
         await _keep_damage(site, blob_id, BlobState.corrupt, difference)
         return
+    # The proof last: until then a recording that only it reads counts as one that will be read.
+    await _keep_scan(site, blob_id, scan)
     async with site.database.begin() as db:
         await service.keep_proof(db, blob_id, md5=found.md5)
+
+
+async def _keep_scan(site: Site, blob_id: uuid.UUID, scan: RecordingSummary | SummaryFailed | None) -> None:
     if isinstance(scan, RecordingSummary):
         await _keep_summary(site, blob_id, scan)
     elif scan is not None:
-        _log.warning("not scanned", extra={"fields": {"blob_id": ref, "reason": str(scan)}})
+        _log.warning("not scanned", extra={"fields": {"blob_id": str(blob_id), "reason": str(scan)}})
         async with site.database.begin() as db:
             await service.keep_failure(db, blob_id, str(scan))
 
@@ -133,6 +142,8 @@ async def _read(
     )
     async with readers.reading_along(request, owner=row.uploaded_by_id, patience_s=patience_s) as child:
         found = await read_through(site, row.key, child.feed)
+        if found.size_bytes != row.size_bytes:  # the child was given something else than was announced
+            return found, None
         try:
             return found, await child.summary()
         except SummaryFailed as failure:

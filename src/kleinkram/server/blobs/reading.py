@@ -61,29 +61,36 @@ class ReadingAlong:
     def __init__(self, reader: _Reader, patience_s: float) -> None:
         self._reader = reader
         self._patience_s = patience_s
-        self._is_gone = False
+        self._is_gone = self._is_late = False
         self.answered = False
 
     async def feed(self, piece: bytes) -> None:
         """Give it the next bytes; waits while it is busy with those before."""
         stdin = self._reader.process.stdin
-        if self._is_gone or stdin is None:
+        if self._is_gone or self._is_late or stdin is None:
             return
         try:
             stdin.write(piece)
             await asyncio.wait_for(stdin.drain(), self._patience_s)
-        except (ConnectionError, asyncio.TimeoutError):
+        except ConnectionError:
             self._is_gone = True
+        except asyncio.TimeoutError:
+            self._is_late = True
 
     async def summary(self) -> RecordingSummary:
         """Return what it found, once it was given all that was announced.
 
         Raises:
-            SummaryFailed: it ran out of memory or time, or crashed.
+            SummaryFailed: it ran out of memory or time, crashed, or ended before it was given everything.
         """
+        if self._is_late:
+            raise timed_out()
         stdout = self._reader.process.stdout
         try:
-            line = await asyncio.wait_for(stdout.readline(), self._patience_s) if stdout is not None else b""
+            # Whatever it says that has not taken all bytes is said of half a file.
+            line = b""
+            if stdout is not None and not self._is_gone:
+                line = await asyncio.wait_for(stdout.readline(), self._patience_s)
             if not line:
                 stderr, code = await asyncio.wait_for(self._reader.last_words(), self._patience_s)
                 return read_answer(b"", stderr, code)

@@ -27,10 +27,12 @@ class Urgency(enum.IntEnum):
     soon = 10
 
 
-# Proving reads everything once: it has a lane of its own, so that nobody waits behind it.
+# Proving reads everything once, and grouping waits for uploads to end: each has a lane of its own, so that no summary
+# waits behind them. (A lock would do for grouping, but one mission that is tried again later would hold up all others.)
 PROVING = "proving"
+GROUPING = "grouping"
 DEFAULT = "default"
-_LANES = {Job.prove_blob: PROVING}
+_LANES = {Job.prove_blob: PROVING, Job.group_recordings: GROUPING}
 
 # The worker gives it a connector of its own; the API enqueues over its own transactions.
 queue = App(connector=PsycopgConnector())
@@ -42,12 +44,22 @@ _DEFER = text(
     " ORDER BY place)) FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
 )
 
+_HASTEN = text(
+    "UPDATE procrastinate_jobs SET priority = :priority"
+    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref AND priority < :priority"
+)
+
 
 async def enqueue(db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency) -> None:
     """Enqueue one job for each id, in their order, as part of the caller's transaction."""
     if ids:
         said = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
         await db.execute(_DEFER, said)
+
+
+async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
+    """Put the job for one id, if it waits, before those that nobody waits for."""
+    await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))

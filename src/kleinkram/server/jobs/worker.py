@@ -16,8 +16,9 @@ from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.jobs.queue import DEFAULT, PROVING, queue
+from kleinkram.server.jobs.queue import DEFAULT, GROUPING, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
+from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
@@ -41,7 +42,7 @@ async def run_worker(settings: Settings) -> None:
 
 
 async def _open_and_run(settings: Settings) -> None:
-    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=6)
+    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=7)
     # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
     with queue.replace_connector(connector) as app:
         await _run(app, settings)
@@ -51,11 +52,17 @@ async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings, statement_timeout_s=None)
     async with app.open_async(), open_storage(settings) as storage, Readers() as readers:
         courtesy = Courtesy(database, settings)
-        given = {"site": Site(database, storage, settings), "readers": readers, "courtesy": courtesy}
+        given: dict[str, object] = {
+            "site": Site(database, storage, settings),
+            "readers": readers,
+            "courtesy": courtesy,
+            "understanding": Understanding(),
+        }
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             asyncio.create_task(_work(app, given, lane=DEFAULT, at_once=_AT_ONCE)),
             asyncio.create_task(_work(app, given, lane=PROVING, at_once=1)),
+            asyncio.create_task(_work(app, given, lane=GROUPING, at_once=1)),
             asyncio.create_task(_rescue_stalled(app)),
         ]
         try:

@@ -21,6 +21,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.errors import FieldProblem
+from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -35,7 +36,9 @@ _LAST, _FIRST = 2**63 - 1, -(2**63)
 
 def _amounts() -> ColumnElement[Any]:
     # One look at the mission's files for all four numbers, and only for the rows that a page shows.
-    pending = func.count().filter(blob.c.summarised_at.is_(None))
+    # What costs too much to be summarised is read by the proof; bytes that are damaged wait for nothing.
+    scanned_later = (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
+    pending = func.count().filter(blob.c.summarised_at.is_(None) | scanned_later)
     numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), pending)
     return (
         select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))

@@ -1,23 +1,55 @@
 """From the files of a mission to its recordings: which belong together, what is missing, what they span."""
 
 import uuid
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
 
-from sqlalchemy import Row, bindparam, delete, select, update
+from sqlalchemy import ARRAY, Integer, Row, Uuid, bindparam, column, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.recordings import RecordingGroup, Rosbag2Metadata, group
+from kleinkram.recordings import (
+    Content,
+    Depth,
+    GroupKind,
+    Lost,
+    Problem,
+    RecordingFormat,
+    RecordingGroup,
+    RecordingSummary,
+    Rosbag2Metadata,
+    TopicSummary,
+    combine,
+    group,
+)
+from kleinkram.recordings.rosbag2.folder import combine_folder
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import blob, file, mission, recording
+from kleinkram.server.tables import blob, file, mission, recording, topic
 
 _INSERT_BATCH = 1000
-# 1990: no robot recorded before; a clock that starts in 1970 was never set.
 _MAX_BIGINT = 2**63 - 1
+# 1990: no robot recorded before; a clock that starts in 1970 was never set.
 _CREDIBLE_NS = 631_152_000 * 10**9
+# Of one recording; about 100 MB. Its topics are not compared where it has more.
+_MOST_TOPICS = 100_000
+_DERIVED = (
+    "missing",
+    "surplus",
+    "problems",
+    "message_count",
+    "start_ns",
+    "end_ns",
+    "content",
+    "content_reason",
+    "lost",
+)
+
+Topics = Mapping[uuid.UUID, Sequence[TopicSummary]]
+# What each metadata.yaml says, by its path: None where it is none. Without an entry: it was not looked at.
+Stated = Mapping[str, Rosbag2Metadata | None]
 
 
 @dataclass(frozen=True)
@@ -30,58 +62,122 @@ class Derived:
 
 async def live_files(db: Connection, mission_id: uuid.UUID) -> Sequence[Row[Any]]:
     """Return path and content facts of a mission's files."""
+    known = (blob.c.key, blob.c.size_bytes, blob.c.start_ns, blob.c.end_ns, blob.c.message_count, blob.c.format)
+    state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth)
     statement = (
-        select(
-            file.c.id,
-            file.c.path,
-            blob.c.key,
-            blob.c.size_bytes,
-            blob.c.start_ns,
-            blob.c.end_ns,
-            blob.c.message_count,
-        )
+        select(file.c.id, file.c.path, file.c.blob_id, *known, *state)
         .join(blob, blob.c.id == file.c.blob_id)
         .where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     )
     return (await db.execute(statement)).all()
 
 
-def derive(rows: Sequence[Row[Any]], stated: Mapping[str, Rosbag2Metadata]) -> list[Derived]:
-    """Group files into recordings. `stated` holds what each readable metadata.yaml says, by its path."""
+async def derive(db: Connection, rows: Sequence[Row[Any]], stated: Stated) -> list[Derived]:
+    """Group files into recordings, and say of each what `klein inspect` says of the same files in a folder.
+
+    One query, whatever the number of files; holds the topics of one recording at a time.
+    """
     by_path = {row.path: row for row in rows}
-    return [_derive_one(each, by_path, stated.get(each.metadata_path or "")) for each in group(by_path)]
+    groups = group(by_path, {path: said for path, said in stated.items() if said is not None})
+    members = [[by_path[path] for path in each.members] for each in groups]
+    # What one file says of its topics, nothing contradicts, unless there is a metadata.yaml.
+    wanted = [
+        own if len(own) > 1 or each.metadata_path in stated else [] for each, own in zip(groups, members, strict=True)
+    ]
+    derived: list[Derived] = []
+    async for topics in _topics(db, [{row.blob_id for row in own} for own in wanted]):
+        each, own = groups[len(derived)], members[len(derived)]
+        said = stated.get(each.metadata_path or "")
+        derived.append(Derived(each, _values(each, said, _combined(each, own, stated, topics))))
+    return derived
 
 
-def _derive_one(each: RecordingGroup, by_path: Mapping[str, Row[Any]], stated: Rosbag2Metadata | None) -> Derived:
-    members = [by_path[path] for path in each.members]
-    spans = [(row.start_ns, row.end_ns) for row in members if row.start_ns is not None]
-    counts = [row.message_count for row in members]
-    count = sum(counts) if None not in counts else None
-    values: dict[str, Any] = {
+async def _topics(db: Connection, wanted: Sequence[set[uuid.UUID]]) -> AsyncIterator[Topics]:
+    """Yield the topics of each set of blobs, in turn; none where they are too many."""
+    pairs = [(number, blob_id) for number, ids in enumerate(wanted) for blob_id in ids]
+    given = func.unnest(
+        literal([number for number, _ in pairs], ARRAY(Integer)), literal([each for _, each in pairs], ARRAY(Uuid))
+    ).table_valued(column("number", Integer), column("blob_id", Uuid), name="given")
+    given = given.render_derived()
+    counted = topic.c.count.label("message_count")
+    statement = select(given.c.number, topic, counted).join(topic, topic.c.blob_id == given.c.blob_id)
+    result = await db.stream(statement.order_by(given.c.number, topic.c.blob_id, topic.c.name))
+    row = await result.fetchone()
+    for number in range(len(wanted)):
+        found: dict[uuid.UUID, list[TopicSummary]] = defaultdict(list)
+        count = 0
+        while row is not None and row.number == number:
+            count += 1
+            if count <= _MOST_TOPICS:
+                found[row.blob_id].append(_topic(row))
+            row = await result.fetchone()
+        yield found if count <= _MOST_TOPICS else {}
+    await result.close()
+
+
+def _topic(row: Row[Any]) -> TopicSummary:
+    return TopicSummary(
+        name=row.name,
+        message_type=row.message_type or "",
+        schema_name=row.schema_name or "",
+        schema_encoding=row.schema_encoding or "",
+        message_encoding=row.message_encoding or "",
+        count=row.message_count,
+        first_ns=row.first_ns,
+        last_ns=row.last_ns,
+        rate_hz=row.rate_hz,
+        longest_gap_ns=row.longest_gap_ns,
+        head_gap_ns=row.head_gap_ns,
+        tail_gap_ns=row.tail_gap_ns,
+    )
+
+
+def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
+    names = [PurePosixPath(path).name for path in each.members]
+    summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
+    if each.kind is not GroupKind.rosbag2:
+        return combine(summaries, names)
+    path = each.metadata_path or ""
+    if path in stated:
+        return combine_folder(stated[path], names, summaries)
+    summary = combine(summaries, names)
+    message = "it was not compared with the files: it is larger than 256 KiB, or the store has lost it"
+    return replace(summary, problems=(Problem("metadata-unread", "metadata.yaml", message), *summary.problems))
+
+
+def _summary(row: Row[Any], topics: Sequence[TopicSummary]) -> RecordingSummary:
+    """Return what is known of one file. What is odd inside it, its own row says."""
+    return RecordingSummary(
+        format=RecordingFormat(row.format) if row.format else RecordingFormat.unknown,
+        content=Content(row.content),
+        reason=row.content_reason,
+        message_count=row.message_count,
+        start_ns=row.start_ns,
+        end_ns=row.end_ns,
+        topics=tuple(topics),
+        depth=Depth(row.depth) if row.depth else Depth.summary,
+        lost=Lost(**row.lost) if row.lost else None,
+    )
+
+
+def _values(each: RecordingGroup, said: Rosbag2Metadata | None, summary: RecordingSummary) -> dict[str, Any]:
+    count = summary.message_count
+    # As dictionaries: in order, and quick to look into.
+    here = dict.fromkeys(PurePosixPath(path).name for path in each.members)
+    named = dict.fromkeys(PurePosixPath(path).name for path in said.files) if said else here
+    return {
         "name": each.name,
         "kind": each.kind.value,
-        "start_ns": min((start for start, _ in spans), default=None),
-        "end_ns": max((end for _, end in spans), default=None),
+        "missing": [fit(name) for name in named if name not in here],
+        "surplus": [fit(name) for name in here if name not in named],
+        "problems": [{key: fit(value) for key, value in asdict(one).items()} for one in summary.problems],
         "message_count": count if count is not None and count <= _MAX_BIGINT else None,
-        "missing": [],
-        "surplus": [],
-        "problems": [],
+        "start_ns": summary.start_ns,
+        "end_ns": summary.end_ns,
+        "content": summary.content.value,
+        "content_reason": fit(summary.reason),
+        "lost": summary.lost and asdict(summary.lost),
     }
-    return Derived(each, values | (_compared(each, stated, count) if stated else {}))
-
-
-def _compared(each: RecordingGroup, stated: Rosbag2Metadata, count: int | None) -> dict[str, Any]:
-    here = {PurePosixPath(path).name for path in each.members}
-    named = [fit(PurePosixPath(path).name) for path in stated.files]
-    missing = [name for name in named if name not in here]
-    problems = []
-    if missing:
-        message = f"metadata.yaml names {', '.join(missing)}, which this mission does not have; upload what is missing"
-        problems.append({"code": "member-missing", "where": each.name, "message": message})
-    elif None not in (count, stated.message_count) and count != stated.message_count:
-        message = f"metadata.yaml claims {stated.message_count} messages, the files hold {count}"
-        problems.append({"code": "metadata-count", "where": each.name, "message": message})
-    return {"missing": missing, "surplus": sorted(here - set(named)), "problems": problems}
 
 
 async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived], rows: Sequence[Row[Any]]) -> None:
@@ -124,10 +220,7 @@ async def _upsert(
 ) -> dict[tuple[str, str], uuid.UUID]:
     values = [{"id": uuid.uuid4(), "mission_id": mission_id, **each.values} for each in derived]
     statement = upsert(recording).values(values)
-    changed = {
-        column: statement.excluded[column]
-        for column in ("missing", "surplus", "problems", "message_count", "start_ns", "end_ns")
-    }
+    changed = {column: statement.excluded[column] for column in _DERIVED}
     statement = statement.on_conflict_do_update(index_elements=["mission_id", "name", "kind"], set_=changed)
     found = await db.execute(statement.returning(recording.c.id, recording.c.name, recording.c.kind))
     return {(row.name, row.kind): row.id for row in found}

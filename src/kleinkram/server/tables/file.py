@@ -16,7 +16,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
-from kleinkram.server.tables.base import created_at_column, id_column, metadata, sorted_text
+from kleinkram.contract.files import ContentState
+from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 recording = Table(
     "recording",
@@ -32,7 +33,11 @@ recording = Table(
     Column("message_count", BigInteger),
     Column("start_ns", BigInteger),
     Column("end_ns", BigInteger),
+    Column("content", Text, nullable=False, server_default=ContentState.pending.value),
+    Column("content_reason", Text),
+    Column("lost", JSONB(none_as_null=True)),
     UniqueConstraint("mission_id", "name", "kind"),
+    one_of("content", ContentState),
     CheckConstraint("start_ns <= end_ns", name="span"),
 )
 

@@ -1,0 +1,106 @@
+"""Recordings of several files: the server says of them what `klein inspect` says of the same folder."""
+
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import event
+
+from kleinkram.recordings import Depth
+from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
+from kleinkram.server.recordings import deriving
+from kleinkram.server.recordings.deriving import Derived
+from kleinkram.server.site import Site
+from tests.integration.corpus import Corpus
+from tests.integration.jobs import on_site, run_jobs
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+from tests.integration.uploading import upload_all
+
+# What is odd about the whole; what is odd inside one file, the server tells with the file.
+_OF_THE_WHOLE = ("metadata-", "member-", "topic-types-differ")
+_NOT_HEALTHY = {
+    "broken/metadata_only_data_missing": {"member-missing"},
+    "broken/wrong_rmw_db3": {"metadata-encoding"},
+    "derived/metadata_wrong_counts": {"metadata-count", "metadata-topic-count"},
+    "derived/split_missing_file": {"member-missing"},
+}
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: Any) -> Api:
+    api: Api = start_api()
+    return api
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+def _problems(problems: Any) -> list[tuple[str, str, str]]:
+    told = [(each["code"], each["where"], each["message"]) for each in problems]
+    return [each for each in told if each[0].startswith(_OF_THE_WHOLE)]
+
+
+def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
+    told = {each["name"]: each for each in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
+    here = {each.path: each for each in inspect_paths([corpus.folder], depth=Depth.scan)}
+    several = {
+        path.removeprefix(f"{corpus.folder}/"): each
+        for path, each in here.items()
+        if each.kind is InspectionKind.recording
+    }
+    assert {name for name, each in told.items() if each["kind"] != "single"} == several.keys()
+    assert several.keys() >= {*_NOT_HEALTHY, "ros2-db3/file_zstd_split"}
+    for name, inspection in several.items():
+        _same(told[name], inspection, corpus.folder)
+        codes = {code for code, _, _ in _problems(told[name]["problems"])}
+        assert codes == _NOT_HEALTHY.get(name, set()), name
+
+
+def _same(told: Mapping[str, Any], here: Inspection, folder: Path) -> None:
+    summary = here.summary
+    members = [path for path in told["paths"] if not path.endswith("metadata.yaml")]
+    assert sorted(members) == sorted(path.removeprefix(f"{folder}/") for path in here.members)
+    assert (told["content"], told["content_reason"]) == (summary.content.value, summary.reason), here.path
+    assert (told["message_count"], told["start_ns"], told["end_ns"]) == (
+        summary.message_count,
+        summary.start_ns,
+        summary.end_ns,
+    ), here.path
+    assert (told["lost"] and told["lost"]["messages"]) == (summary.lost and summary.lost.messages), here.path
+    assert _problems(told["problems"]) == _problems(vars(each) for each in summary.problems), here.path
+
+
+def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api, mission_id: str) -> None:
+    sample = Sample(api)
+    topic = {"name": "/imu", "message_type": "sensor_msgs/msg/Imu", "count": 5}
+    counts: list[int] = []
+
+    async def derive(site: Site) -> list[Derived]:
+        seen: list[str] = []
+        event.listen(site.database.engine.sync_engine, "before_cursor_execute", lambda *told: seen.append(told[2]))
+        async with site.database.begin() as db:
+            found = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
+        counts.append(len(seen))
+        return found
+
+    for number in range(1, 4):
+        for part in range(2):
+            name = f"run{number}_{part}.mcap"
+            sample.file(mission_id, name, topics=[topic], message_count=5, start_ns=part, end_ns=part + 1)
+        found = on_site(api, derive)
+        assert [each.values["message_count"] for each in found] == [10] * number
+    assert counts == [2, 2, 2]
+
+
+def test_a_metadata_that_is_not_looked_at_is_told(api: Api, mission_id: str) -> None:
+    large = b"rosbag2_bagfile_information:\n  relative_file_paths: [run_0.mcap]\n" + b"#" * 300_000
+    upload_all(api, mission_id, {"run/metadata.yaml": large, "run/run_0.mcap": b"\x89MCAP0\r\n" + large[:50]})
+    run_jobs(api)
+    (recording,) = api.all(f"/missions/{mission_id}/recordings")
+    assert [problem["code"] for problem in recording["problems"]] == ["metadata-unread"]
+    assert (recording["kind"], recording["content"]) == ("rosbag2", "broken")
