@@ -8,6 +8,8 @@ _MB = 10**6
 _SPAN_S = "8"
 """Seconds of the sample that its chunks hold in a little less than 50 MB."""
 
+_LONG_SPAN_S = "20"
+
 
 def raw_row(path: Path) -> dict[str, object]:
     """All messages of an MCAP as bytes, in the order of log time."""
@@ -27,10 +29,12 @@ def raw_row(path: Path) -> dict[str, object]:
 def remote_row(path: Path) -> dict[str, object]:
     """One topic of a span out of a large file over HTTP ranges."""
     run = _side("remote_span", path, "/imu/data", _SPAN_S)
+    longer = _side("remote_span", path, "/imu/data", _LONG_SPAN_S)
     fetched_mb = run.facts["bytes"] / _MB
     return {
         "what": f"one topic of {_SPAN_S} s out of a 1 GB MCAP over HTTP, opening included",
         "measured": f"{run.seconds:.2f} s, {fetched_mb:.0f} MB fetched",
+        "also": f"{_LONG_SPAN_S} s: {longer.seconds:.2f} s, {longer.facts['bytes'] / _MB:.0f} MB fetched",
         "bar": "<= 1 s for <= 50 MB",
         "met": run.seconds <= 1 and fetched_mb <= 50,
         "seconds": run.seconds,
