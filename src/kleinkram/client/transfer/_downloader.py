@@ -77,7 +77,9 @@ class Downloader:
         """
         self._targets = {target.file.id: target for target in targets}
         self._store = StoreDoor(connections)
-        threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections)]
+        self._lines = threading.BoundedSemaphore(connections)
+        # One more than there are connections: while one takes the checksum of what arrived, none of them idles.
+        threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections + 1)]
         for thread in threads:
             thread.start()
         try:
@@ -172,7 +174,8 @@ class Downloader:
         fetching = piece.fetching
         try:
             if not fetching.ended:
-                self._fetch(piece)
+                with self._lines:
+                    self._fetch(piece)
                 fetching.arrived(piece.number, piece.last - piece.first + 1)
                 fetching.hash_ready(self._stop.check)
         except _OF_ONE_FILE as error:

@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator
@@ -149,6 +150,7 @@ class Fetching:
                 )
             self._checksum.update(view)
             self._hashed_to += len(view)
+        _begin_to_write(self._handle, end - RANGE_BYTES, RANGE_BYTES)
 
     def finish(self, check: Callable[[], None]) -> None:
         """Verify the whole, force it to disk, and give it its name. Only once every range is there.
@@ -190,6 +192,12 @@ class Fetching:
     def _write_down(self, line: BaseModel) -> None:
         if self._journal >= 0:
             os.write(self._journal, line.model_dump_json().encode() + b"\n")
+
+
+def _begin_to_write(handle: int, offset: int, length: int) -> None:
+    """Have the system begin to bring a range to disk, where it has a word for that: then the last fsync waits less."""
+    if sys.platform == "linux":
+        os.posix_fadvise(handle, max(0, offset), length, os.POSIX_FADV_DONTNEED)
 
 
 def _open_locked(part: Path) -> int:
