@@ -47,7 +47,7 @@ def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
     elif name in _AT_ONCE:
         raw, whole = _AT_ONCE[name](stored, uncompressed_bytes)
         if not whole:
-            raise Malformed("chunk", f"its {name} data break off")
+            raise Malformed("chunk", f"its {name} data do not end where it ends")
     else:
         raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
     if len(raw) != uncompressed_bytes:
@@ -91,10 +91,10 @@ def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
     try:
         # One byte more than claimed, so that the end mark and its checksum are read, too. By way of a context, because
         # LZ4FrameDecompressor copies what it is given.
-        raw, _, is_whole = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
+        raw, used, is_whole = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
     except (RuntimeError, EOFError) as error:
         raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
-    return raw, is_whole
+    return raw, is_whole and used == len(stored)
 
 
 def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
@@ -103,7 +103,7 @@ def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
         raw = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
     except (OSError, EOFError) as error:
         raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
-    return raw, decompressor.eof
+    return raw, decompressor.eof and not decompressor.unused_data
 
 
 _AT_ONCE = {"lz4": _lz4_at_once, "bz2": _bz2_at_once}

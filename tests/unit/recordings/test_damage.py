@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, RecordingSummary
@@ -167,6 +167,10 @@ def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
 
 
 @given(NAMES, PLACES, st.integers(1, 4096))
+@example("lz4.bag", 0.5, 406)  # a damaged chunk ends where the next one's compressed data look like a message
+@example("zstd.mcap", 0.3515625, 250)  # what is left of a chunk's head looks like a record of unknown kind
+@example("none.mcap", 0.8125, 701)  # a damaged chunk reaches over the next one, to a record of that one's index
+@example("lz4.mcap", 0.9296875, 411)  # what is left of the statistics claims more messages than there are stars
 @settings(max_examples=2500, deadline=None)
 def test_a_sector_cut_out(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]
@@ -187,6 +191,8 @@ def test_a_cut_anywhere(name: str, place: float) -> None:
 
 
 @given(NAMES, PLACES, st.integers(0, 7))
+@example("none.mcap", 0.7531278399983186, 1)  # a message index becomes a message
+@example("lz4.bag", 0.30179838998996594, 3)  # a chunk is said to be so long that it holds the next one, too
 @settings(max_examples=2500, deadline=None)
 def test_a_flipped_bit(name: str, place: float, bit: int) -> None:
     whole = WHOLE[name]

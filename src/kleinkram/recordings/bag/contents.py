@@ -138,6 +138,14 @@ def is_record(data: Buffer, at: int) -> bool:
     return True
 
 
+def stands_outside_chunks(data: Buffer, at: int) -> bool:
+    """Say whether the header of a record stands there that can follow a chunk: a message stands inside of one."""
+    try:
+        return parse_record(data, at, "").opcode != records.MESSAGE
+    except Malformed:
+        return False
+
+
 def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool = False) -> Contents:
     """Add the messages in `raw` to the batch.
 

@@ -24,6 +24,7 @@ from kleinkram.recordings.tally import Batch, Tally
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
 _FLUSH_BYTES = 64 * 2**20
+_LEAST_CHUNK_HEAD = 40
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.CONNECTION: "a connection"}
 
 
@@ -280,8 +281,12 @@ class _Scanner:
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
         if stream.position == start and stream.left > total:
-            after = stream.at + total
-            if after < len(stream.window) and not contents.is_record(stream.window, after):
+            window, after = stream.window, stream.at + total
+            if after < len(window) and (
+                not contents.stands_outside_chunks(window, after)
+                # Bytes of it are missing, so that its length reaches over the next one.
+                or find_record(window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+            ):
                 self._resync(damage)
                 return
         scan.losses.note(damage)

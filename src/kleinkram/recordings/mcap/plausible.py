@@ -28,6 +28,7 @@ _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
+_CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
 
 
 def record_end(data: Buffer, at: int, left: int) -> int | None:
@@ -82,7 +83,8 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
         return left >= 0
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
-    return is_private or record_end(data, after, left) is not None
+    # A message index follows a chunk: what stands before it is one whose beginning is lost.
+    return is_private or (opcode != records.MESSAGE_INDEX and record_end(data, after, left) is not None)
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
@@ -103,6 +105,12 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
         if _is_followed(data, after, left - (after - start), needed):
             return at
     return None
+
+
+def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
+    """Say whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
+    found = (match.start() for match in _CHUNK.finditer(data, start, end))
+    return any(record_end(data, at, left - (at - start)) is not None for at in found)
 
 
 def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:

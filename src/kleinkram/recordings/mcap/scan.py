@@ -15,14 +15,15 @@ from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, records
-from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, stands_outside_chunks
+from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
-from kleinkram.recordings.tally import Batch, Tally
+from kleinkram.recordings.tally import ROW, Batch, Tally
 
 _FLUSH_BYTES = 8 * 2**20
 _SEARCH_BYTES = 4 * 2**20
+_U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
 _READERS = {
@@ -89,6 +90,9 @@ class _Scanner:
         stream.ahead(LOOK)
         after, last = walk_messages(stream.window, stream.at, len(stream.window), self._loose)
         if after > stream.at:
+            is_alone = self._listed is not None and last == stream.at and after < len(stream.window)
+            if is_alone and stream.window[after] == records.MESSAGE_INDEX:
+                self._forget_message(last)
             self._end_chunk()
             self._pass_loose(last - stream.at)
             self._pass(after - last)
@@ -109,6 +113,13 @@ class _Scanner:
                 self._resync(cut)
         except Malformed as error:
             self._resync(error)
+
+    def _forget_message(self, at: int) -> None:
+        """Take back the message at a place: it stands among the message indexes of a chunk, so it is none."""
+        stream = self._stream
+        (channel_id,) = _U16.unpack_from(stream.window, at + RECORD_HEAD.size)
+        del self._loose[channel_id][-ROW:]
+        self.scan.losses.note(Malformed(f"byte {stream.position + at - stream.at}", "a message where none can stand"))
 
     def _check(self, opcode: int, length: int, where: str) -> None:
         stream = self._stream
@@ -195,9 +206,12 @@ class _Scanner:
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
         if stream.position == start and stream.left > total:
-            after = stream.at + total
-            is_at_hand = after < len(stream.window)
-            if is_at_hand and not stands_outside_chunks(stream.window, after, stream.left - total):
+            window, after = stream.window, stream.at + total
+            if after < len(window) and (
+                not stands_outside_chunks(window, after, stream.left - total)
+                # Bytes of it are missing, so that its length reaches over the next one.
+                or holds_chunk(window, stream.at + 1, after, stream.left - 1)
+            ):
                 self._resync(damage)
                 return
         self.scan.losses.note(damage)
@@ -283,6 +297,8 @@ class _Scanner:
         if wrong is None:
             stream.advance(total)
         else:
+            if stream.window[stream.at] == records.STATISTICS:
+                self.scan.facts.statistics = None  # bytes of it are missing
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
 
     def _wrong_at(self, at: int) -> str | None:
