@@ -8,6 +8,9 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_DAMAGE, MAX_PROBLEMS
 from kleinkram.recordings.model import Lost, Problem
 
+_FREE_VAIN_BYTES = 256 * 2**20
+_VAIN_SHARE = 4
+
 
 @dataclass
 class Losses:
@@ -19,6 +22,7 @@ class Losses:
         messages: lost ones, as far as the indexes behind damaged chunks say.
         messages_are_known: those account for all that is lost.
         unproven: messages that were saved out of a chunk whose checksum is missing with its end.
+        vain_bytes: of records that were read, led nowhere, and were searched through.
     """
 
     damage: list[Malformed] = field(default_factory=list)
@@ -28,16 +32,25 @@ class Losses:
     messages: int = 0
     messages_are_known: bool = True
     unproven: int = 0
+    vain_bytes: int = 0
+
+    def is_patience_spent(self, position: int) -> bool:
+        """Say whether so much was read in vain, up to a place in the file, that no honest damage explains it.
+
+        Behind a chunk that turns out to be none, the search begins inside it: a file of nothing but heads of chunks
+        would be read as often as it has heads.
+        """
+        return self.vain_bytes > _FREE_VAIN_BYTES + _VAIN_SHARE * position
 
     def note(self, damage: Malformed) -> None:
         """Remember a damaged place."""
         if len(self.damage) < MAX_DAMAGE:
-            self.damage.append(damage)
+            self.damage.append(_alone(damage))
 
     def note_index(self, fault: Malformed) -> None:
         """Remember what is wrong with the index alone."""
         if len(self.index_faults) < MAX_DAMAGE:
-            self.index_faults.append(fault)
+            self.index_faults.append(_alone(fault))
 
     def problems(self) -> list[Problem]:
         """Return all of it as problems; more of them than a summary lists are not made."""
@@ -54,6 +67,11 @@ class Losses:
         if claimed is not None and claimed >= found:
             messages = claimed - found
         return Lost(self.bytes, self.chunks, messages)
+
+
+def _alone(fault: Malformed) -> Malformed:
+    """Return the fault without the frames that raised it: they would keep their bytes as long as it is kept."""
+    return Malformed(fault.where, fault.message, certain=fault.certain)
 
 
 @dataclass

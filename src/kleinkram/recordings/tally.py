@@ -22,7 +22,8 @@ ROW = 3
 _SAMPLE = 4096
 _NOTABLE_NS = 1_000_000_000
 _MOST = 2**63 - 1
-_WAITING = "\0channel "
+_WAITING = "\udcff channel "
+"""No topic of a file begins so: what is not UTF-8 in one was replaced."""
 
 
 class HasTopic(Protocol):

@@ -120,12 +120,15 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
 
     `outside`: only records of the kinds that stand outside of chunks.
     """
+    untried = start
     for match in (_OP_OUTSIDE if outside else _OP).finditer(data, start, end):
         field_at = match.start()
-        for at in range(field_at - _U32.size, max(start, field_at - _LONGEST_SEARCHED_HEADER) - 1, -1):
+        for at in range(field_at - _U32.size, max(untried, field_at - _LONGEST_SEARCHED_HEADER) - 1, -1):
             header_bytes = int(_U32.unpack_from(data, at)[0])
             if field_at + 8 - at - _U32.size <= header_bytes <= _LONGEST_SEARCHED_HEADER and is_record(data, at):
                 return at
+        # A place that is no record, or whose header ends before this field, is none for a later field either.
+        untried = max(untried, field_at - _U32.size + 1)
     return None
 
 

@@ -153,6 +153,7 @@ class _Scanner:
         is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
         if is_at_hand and not contents.is_record(stream.window, after):
             damage = Malformed(f"byte {stream.position + total}", "rubbish where a record should begin")
+            self.scan.losses.vain_bytes += total
             self._resync(damage, believed=total)
         else:
             stream.advance(total)
@@ -164,6 +165,8 @@ class _Scanner:
             self.scan.index_start = record.fields.u64("index_pos")
             self._connections_claimed = record.fields.u32("conn_count")
             self._chunks_claimed = record.fields.u32("chunk_count")
+        if record.data_bytes > _LOOK:
+            raise Malformed(where, f"a bag header of {record.data_bytes} bytes")
         self._stream.ahead(record.end - record.start)
         padding_at = self._stream.at + record.data_start - record.start
         if bytes(self._stream.window[padding_at : self._stream.at + record.end - record.start]).strip(b" \0"):
@@ -175,9 +178,13 @@ class _Scanner:
         stream = self._stream
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
+        if record.data_bytes > _LOOK and self.scan.losses.is_patience_spent(stream.position):
+            raise Malformed(where, "an index record that nothing vouches for")
         data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
         if record.opcode == records.CONNECTION:
+            self.scan.losses.vain_bytes += record.data_bytes
             contents.define(record, data, self.scan.facts, where)
+            self.scan.losses.vain_bytes -= record.data_bytes
             return
         info = records.read_chunk_info(record.fields, data, where)
         self._infos += 1
@@ -197,6 +204,7 @@ class _Scanner:
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
+                self._doubt(total, compression)
                 stored = stream.window[stream.at + head_bytes : stream.at + total]
                 raw = decompress(compression, stored, uncompressed)
                 end = self._read_contents(raw, record.data_bytes, start, ends_early=compression == "none")
@@ -223,6 +231,7 @@ class _Scanner:
             scan.losses.bytes += (hole.end - hole.start) * stored // len(raw)
         if end < len(raw):
             scan.losses.messages_are_known = False
+            scan.losses.vain_bytes += len(raw)
         return end
 
     def _read_large_chunk(self, compression: str, stored: int, uncompressed: int) -> None:
@@ -285,14 +294,30 @@ class _Scanner:
             if after < len(window) and (
                 not contents.stands_outside_chunks(window, after)
                 # Bytes of it are missing, so that its length reaches over the next one.
-                or find_record(window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+                or (
+                    not scan.losses.is_patience_spent(start)
+                    and find_record(window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+                )
             ):
+                scan.losses.vain_bytes += total
                 self._resync(damage)
                 return
         scan.losses.note(damage)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total
         self._chunk = ListedChunk(start, found, damaged=True)
+
+    def _doubt(self, total: int, compression: str) -> None:
+        """Refuse a chunk that would be read in vain, as so many before it.
+
+        Raises:
+            Malformed: the patience is spent, and nothing vouches for the chunk.
+        """
+        stream = self._stream
+        if self.scan.losses.is_patience_spent(stream.position) and (
+            compression == "none" or not contents.stands_outside_chunks(stream.window, stream.at + total)
+        ):
+            raise Malformed("chunk", "nothing vouches for it")
 
     def _read_cut_chunk(self, record: Record, cut: Cut) -> None:
         """Save what there is of a chunk that reaches beyond the end of the file."""
@@ -349,8 +374,7 @@ class _Scanner:
             self._chunk = None
 
     def _define(self) -> None:
-        for number, connection in self.scan.facts.connections.items():
-            self.scan.tally.define(number, connection.topic)
+        self.scan.tally.learn(self.scan.facts.connections)
 
 
 def scan_bag_records(forward: Forward) -> BagScan:

@@ -103,16 +103,10 @@ def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally
                 tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
                 batch = Batch(facts.channels)
     finally:
-        define(facts, tally)
+        tally.learn(facts.channels)
         tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
     if head.crc and inner.crc() != head.crc:
         raise Malformed("chunk", "its checksum is wrong")
-
-
-def define(facts: McapFacts, tally: Tally) -> None:
-    """State the topics of all channels that are known by now."""
-    for number, channel in facts.channels.items():
-        tally.define(number, channel.topic)
 
 
 def _walk(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:

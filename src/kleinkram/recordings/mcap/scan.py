@@ -64,7 +64,7 @@ class _Scanner:
     def run(self) -> Scan:
         scan, stream = self.scan, self._stream
         stream.advance(min(len(records.MAGIC), stream.left))
-        while stream.left and not scan.closed:
+        while stream.left:
             self._step()
         self._flush_loose()
         self._end_chunk()
@@ -80,8 +80,6 @@ class _Scanner:
             missing = claimed.messages - scan.tally.messages
             scan.losses.note(Malformed("statistics", f"they say {missing} messages more than the file holds"))
             scan.losses.messages += missing
-        if stream.left:
-            self._give_up(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
         return scan
 
     def _step(self) -> None:
@@ -193,10 +191,12 @@ class _Scanner:
             stream.advance(end - stream.position)
             return None
         stream.ahead(total + LOOK)
+        if scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
+            raise Malformed("chunk", "nothing stands behind it")
         batch = Batch(scan.facts.channels)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
-        chunks.define(scan.facts, scan.tally)
+        scan.tally.learn(scan.facts.channels)
         scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
         stream.advance(total)
         return contents.fault
@@ -208,16 +208,25 @@ class _Scanner:
         if stream.position == start and stream.left > total:
             window, after = stream.window, stream.at + total
             if after < len(window) and (
-                not stands_outside_chunks(window, after, stream.left - total)
+                not self._is_followed(total)
                 # Bytes of it are missing, so that its length reaches over the next one.
-                or holds_chunk(window, stream.at + 1, after, stream.left - 1)
+                or (
+                    not scan.losses.is_patience_spent(start)
+                    and holds_chunk(window, stream.at + 1, after, stream.left - 1)
+                )
             ):
+                scan.losses.vain_bytes += total
                 self._resync(damage)
                 return
         self.scan.losses.note(damage)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total
         self._listed = ListedChunk(start, found, damaged=True)
+
+    def _is_followed(self, total: int) -> bool:
+        """Say whether a record that stands outside of chunks follows the next `total` bytes, which are at hand."""
+        stream = self._stream
+        return stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
     def _read_cut_chunk(self, cut: Cut) -> None:
         """Save what there is of a chunk that reaches beyond the end of the file."""
@@ -237,7 +246,7 @@ class _Scanner:
             batch = Batch(scan.facts.channels)
             stored = bytes(stream.window[stream.at + head.data_start :])
             used = chunks.read_beginning(stored, head, scan.facts, batch)
-            chunks.define(scan.facts, scan.tally)
+            scan.tally.learn(scan.facts.channels)
             scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
         scan.losses.unproven += scan.tally.messages - before
         scan.losses.chunks += 1
@@ -275,6 +284,9 @@ class _Scanner:
             self.scan.losses.note_index(Malformed(where, "the checksum of the summary section is wrong"))
         stream.advance(_U32.size + len(records.MAGIC))
         self.scan.closed = True
+        if stream.left:
+            # It may be that of a file inside of this one, whose place the search came upon: the scan goes on.
+            self.scan.losses.note(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
 
     def _note_listed(self) -> None:
         stream = self._stream
@@ -320,7 +332,7 @@ class _Scanner:
             self._flush_loose()
 
     def _flush_loose(self) -> None:
-        chunks.define(self.scan.facts, self.scan.tally)
+        self.scan.tally.learn(self.scan.facts.channels)
         self.scan.tally.add(self._loose)
         self._loose, self._loose_bytes = Batch(self.scan.facts.channels), 0
 
