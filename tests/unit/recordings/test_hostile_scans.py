@@ -65,14 +65,14 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
 
 def test_faults_that_are_remembered_keep_no_bytes() -> None:
     connection = bag_head(7, conn=bytes(4), topic=b"/a")
-    data = bag_of(connection)[: len(bag_records.MAGIC) + 400 * len(connection)] + bytes(REACH)
+    data = bag_of(connection)[: len(bag_records.MAGIC) + 800 * len(connection)] + bytes(REACH)
     tracemalloc.start()
     try:
         scan(from_source(MemorySource(data, "a.bag")))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 20 * 2**20
+    assert peak < 48 * 2**20  # one window, and little more: kept, the bytes would come to 100 MB
 
 
 def test_a_topic_may_have_any_name() -> None:
