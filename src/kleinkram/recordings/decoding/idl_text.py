@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.decoding.errors import SchemaError
-from kleinkram.recordings.decoding.limits import MAX_DEPTH, MAX_TYPES
+from kleinkram.recordings.decoding.limits import MAX_DEPTH, MAX_LOOPS, MAX_TYPES
 from kleinkram.recordings.decoding.msg_text import split_blocks
 from kleinkram.recordings.decoding.schema import (
     PRIMITIVES,
@@ -73,17 +73,8 @@ def parse_idl(name: str, text: str) -> Struct:
     if found is None:
         raise SchemaError(f"the schema's text does not define {name}")
 
-    def find(wanted: str, owner: str) -> Primitive | Definition | None:
-        if wanted in PRIMITIVES:
-            return PRIMITIVES[wanted]
-        for candidate in _candidates(wanted, owner):
-            if candidate in scope.enums:
-                return scope.enums[candidate]
-            if candidate in scope.structs:
-                return _definition(candidate, scope)
-        return None
-
-    return resolve(_definition(found, scope), find)
+    definitions = _Definitions(scope)
+    return resolve(definitions.get(found), definitions.find)
 
 
 def _candidates(wanted: str, owner: str) -> list[str]:
@@ -95,9 +86,38 @@ def _candidates(wanted: str, owner: str) -> list[str]:
     return ["/".join([*modules[:depth], path]) for depth in range(len(modules), -1, -1)]
 
 
-def _definition(path: str, scope: _Scope) -> Definition:
-    fields = []
-    for text in scope.structs[path]:
+class _Definitions:
+    """The structs of a scope as definitions; each is built once, however many fields mention it."""
+
+    def __init__(self, scope: _Scope) -> None:
+        self._scope = scope
+        self._built: dict[str, Definition] = {}
+        self._constants: dict[str, dict[str, ConstantValue]] = {}
+        for key, value in scope.constants.items():
+            module, _, name = key.rpartition("/")
+            self._constants.setdefault(module, {})[name] = value
+
+    def find(self, wanted: str, owner: str) -> Primitive | Definition | None:
+        """Return what a name means where `owner` mentions it."""
+        if wanted in PRIMITIVES:
+            return PRIMITIVES[wanted]
+        for candidate in _candidates(wanted, owner):
+            if candidate in self._scope.enums:
+                return self._scope.enums[candidate]
+            if candidate in self._scope.structs:
+                return self.get(candidate)
+        return None
+
+    def get(self, path: str) -> Definition:
+        """Return the definition of a struct that is there."""
+        if path not in self._built:
+            fields = tuple(self._unalias(text, path) for text in self._scope.structs[path])
+            self._built[path] = Definition(path, fields, constants_of(self._constants.get(f"{path}_Constants", {})))
+        return self._built[path]
+
+    def _unalias(self, text: FieldText, path: str) -> FieldText:
+        """Return a field of the struct `path` with what its typedefs stand for."""
+        scope = self._scope
         wanted, owner, lengths = text.type_name, path, text.lengths
         for _ in range(MAX_DEPTH):
             alias = next((c for c in _candidates(wanted, owner) if c in scope.typedefs), None)
@@ -109,10 +129,7 @@ def _definition(path: str, scope: _Scope) -> Definition:
             raise SchemaError(f"the typedefs of {path}.{text.name} do not end")
         # What a typedef names is found from where the typedef stands.
         whole = next((c for c in _candidates(wanted, owner) if c in scope.structs or c in scope.enums), None)
-        fields.append(FieldText(text.name, wanted if whole is None else f"::{whole.replace('/', '::')}", lengths))
-    prefix = f"{path}_Constants/"
-    constants = {key.removeprefix(prefix): value for key, value in scope.constants.items() if key.startswith(prefix)}
-    return Definition(path, tuple(fields), constants_of(constants))
+        return FieldText(text.name, wanted if whole is None else f"::{whole.replace('/', '::')}", lengths)
 
 
 def _tokens(text: str) -> list[str]:
@@ -250,6 +267,8 @@ class _Parser:
             self._next()
             lengths.insert(0, self._length(owner))
             self._expect("]")
+            if len(lengths) > MAX_LOOPS:
+                raise SchemaError(f"{name[:100]} is an array in more than {MAX_LOOPS} dimensions")
         return name, tuple(lengths)
 
     def _length(self, owner: str) -> int:

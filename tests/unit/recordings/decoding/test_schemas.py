@@ -180,6 +180,21 @@ def test_hostile_texts_are_answered_at_once(text: str) -> None:
     assert time.process_time() - start < 2
 
 
+def test_a_type_that_many_fields_mention_is_looked_at_once() -> None:
+    inner = "".join(f" long f{number};" for number in range(900))
+    many = "".join(f" T a{number};" for number in range(900))
+    constants = "".join(f" const long c{number} = 1;" for number in range(2_000))
+    text = f"struct T {{{inner} }}; struct S {{{many} }}; module T_Constants {{{constants} }};"
+    start = time.process_time()
+    assert "more than 6000 fields" in reason(idl(text, "S"))
+    assert time.process_time() - start < 1  # 0.05 s; 4.5 s where each mention builds it anew
+
+
+def test_dimensions_that_are_mentioned_again_and_again_do_not_multiply() -> None:
+    text = "typedef long T" + "[1]" * 20_000 + "; struct S {" + "".join(f" T a{n};" for n in range(5_000)) + " };"
+    assert "dimensions" in reason(idl(text, "S"))
+
+
 def test_ros1_knows_no_wide_texts() -> None:
     assert "not defined" in reason(decoder_for("ros1", "a/Thing", "ros1msg", b"wstring s"))
 
