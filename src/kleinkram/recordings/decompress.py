@@ -77,7 +77,7 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
     try:
         claimed = zstandard.frame_content_size(stored)
         if claimed == uncompressed_bytes:
-            return zstandard.ZstdDecompressor().decompress(stored)
+            return zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
     # Of unknown size, or of several frames: piece by piece, so that no claim is believed.

@@ -17,6 +17,7 @@ from kleinkram.recordings.mcap import records
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
+from .test_hostile import small_mcap
 
 REACH = 128 * 1024
 HEADS = 2_000
@@ -73,6 +74,19 @@ def test_faults_that_are_remembered_keep_no_bytes() -> None:
     finally:
         tracemalloc.stop()
     assert peak < 48 * 2**20  # one window, and little more: kept, the bytes would come to 100 MB
+
+
+def test_the_footer_of_a_file_inside_of_a_damaged_attachment_ends_nothing() -> None:
+    """The search behind the damage comes upon the inner file's records; the outer file goes on behind its footer."""
+    outer, inner = small_mcap(), small_mcap()
+    first = len(records.MAGIC) + records.RECORD_HEAD.size
+    (header_bytes,) = struct.unpack_from("<Q", outer, len(records.MAGIC) + 1)
+    front = outer[: first + header_bytes]
+    damaged = struct.pack("<BQ", records.ATTACHMENT, 2**60) + inner
+    summary = scan(from_source(MemorySource(front + damaged + outer[len(front) :], "a.mcap")))
+    assert summary.content is Content.recovered
+    assert summary.message_count == 40 + 40
+    assert f"{len(outer) - len(front)} bytes follow its end" in summary.problems[-1].message
 
 
 def test_a_topic_may_have_any_name() -> None:
