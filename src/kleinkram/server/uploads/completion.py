@@ -3,7 +3,6 @@
 Every step can be repeated: by the client that lost the answer, or by the job that finds what a crash left.
 """
 
-import asyncio
 import datetime
 import logging
 import uuid
@@ -39,17 +38,13 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from kleinkram.server.storage import Storage, StoreMissing, StoreRefused
 from kleinkram.server.tables import blob, file, person, upload
 from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.joining import Failures, join_at_store
 from kleinkram.server.uploads.rules import UNREADABLE, first_come
-from kleinkram.server.uploads.service import expected_part_bytes, is_multipart
+from kleinkram.server.uploads.signing_parts import is_multipart
 
 _log = logging.getLogger("kleinkram.uploads")
-_AT_ONCE = 16
-_LISTING_WORTH = 4
-
-Failures = dict[uuid.UUID, KleinkramError]
 
 
 async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[UploadFinish]) -> list[UploadOutcome]:
@@ -77,7 +72,7 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
 
 async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures:
     """Take marked uploads to their end at the store and in the database; return those that failed, and why."""
-    failures = await _join_at_store(site.storage, rows)
+    failures = await join_at_store(site.storage, rows)
     joined = [row for row in rows if row.id not in failures]
     by_mission: dict[uuid.UUID, list[Row[Any]]] = {}
     for row in joined:
@@ -142,64 +137,6 @@ def _unfit(row: Row[Any] | None, finish: UploadFinish) -> KleinkramError | None:
     named = {ChecksumKind.crc64nvme.value: finish.crc64nvme, ChecksumKind.sha256.value: finish.sha256}.get(row.checksum)
     if named is not None and named != row.signed_checksum:
         return ChecksumMismatch(path=row.path, reason="its checksum was announced differently when it was sent")
-    return None
-
-
-async def _join_at_store(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
-    gate = asyncio.Semaphore(_AT_ONCE)
-
-    async def join(row: Row[Any]) -> tuple[uuid.UUID, KleinkramError | None]:
-        async with gate:
-            return row.id, await _join_parts(storage.proving_by(ChecksumKind(row.checksum)), row)
-
-    failures = await _find_whole(storage, [row for row in rows if not is_multipart(row)])
-    for upload_id, error in await asyncio.gather(*(join(row) for row in rows if is_multipart(row))):
-        if error is not None:
-            failures[upload_id] = error
-    return failures
-
-
-async def _find_whole(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
-    """Find files of one part: their address was signed for one checksum, so what is there is what was named."""
-    sizes: dict[str, int] = {}
-    by_prefix: dict[str, list[Row[Any]]] = {}
-    for row in rows:
-        by_prefix.setdefault(row.key.split("/")[0] + "/", []).append(row)
-    for prefix, group in by_prefix.items():
-        if len(group) >= _LISTING_WORTH:
-            sizes |= await storage.sizes(prefix)
-        else:
-            for row in group:
-                found = await storage.find(row.key)
-                sizes |= {row.key: found.size_bytes} if found else {}
-    return {
-        row.id: UploadIncomplete(path=row.path, reason="the file has not arrived")
-        for row in rows
-        if sizes.get(row.key) != row.size_bytes
-    }
-
-
-async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
-    held = await storage.held_parts(row.key, row.multipart_id) if row.multipart_id else []
-    if held is not None:
-        count = -(-row.size_bytes // row.part_size_bytes)
-        good = {part.number for part in held if part.size_bytes == expected_part_bytes(row, part.number)}
-        missing = sorted(set(range(1, count + 1)) - good)
-        if missing:
-            return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
-        try:
-            await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
-        except StoreMissing:
-            pass  # completed by another hand; what it made is looked at below
-        except StoreRefused as refusal:
-            if refusal.is_digest:
-                return ChecksumMismatch(path=row.path, reason=str(refusal))
-            return UploadIncomplete(path=row.path, reason=str(refusal))
-    stored = await storage.find(row.key)
-    if stored is None:
-        return UploadGone(upload_id=str(row.id))
-    if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
-        return ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
     return None
 
 

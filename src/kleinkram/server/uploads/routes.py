@@ -17,7 +17,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.pages import PageRequest
-from kleinkram.server.uploads import completion, service
+from kleinkram.server.uploads import completion, service, signing_parts
 
 router = APIRouter(prefix="/api/v1", tags=["uploads"])
 
@@ -49,7 +49,7 @@ async def get(upload_id: uuid.UUID, actor: CurrentActor, site: CurrentSite) -> U
 @router.post("/uploads/parts", operation_id="sign_parts")
 async def sign(body: PartsSign, actor: CurrentActor, site: CurrentSite) -> SignedParts:
     """Get the addresses to send parts to; this also renews the leases of their uploads."""
-    return SignedParts(items=await service.sign_parts(site, actor, wanted=body.parts))
+    return SignedParts(items=await signing_parts.sign_parts(site, actor, wanted=body.parts))
 
 
 @router.post("/uploads/complete", operation_id="complete_uploads")

@@ -10,33 +10,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Row, bindparam, func, select, update
+from sqlalchemy import Row, func, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import (
-    FieldProblem,
-    InvalidRequest,
     NameLeased,
     NotFound,
     PathConflict,
     StoreUnavailable,
-    UploadGone,
     to_problem,
 )
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.uploads import (
-    CHECKSUM_HEX_DIGITS,
     ChecksumKind,
     HashFirst,
     HeldPart,
     Linked,
-    PartToSign,
     Present,
     Refused,
     Send,
-    SignedPart,
     UploadDecision,
     UploadFile,
     UploadRead,
@@ -50,12 +44,11 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
-from kleinkram.server.storage import PartTarget
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, content_of, decide, first_come
+from kleinkram.server.uploads.signing_parts import is_multipart, renewed
 
 _AT_ONCE = 16
 
@@ -98,11 +91,6 @@ async def _let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
         await db.execute(update(upload).where(unheard).values(state=UploadState.aborted.value))
 
 
-def is_multipart(row: Row[Any]) -> bool:
-    """Say whether a file goes up in several parts; else it is one plain PUT."""
-    return bool(row.size_bytes > row.part_size_bytes)
-
-
 async def _decide_all(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
 ) -> list[Decision]:
@@ -134,9 +122,7 @@ async def _hold_names(
         await db.execute(update(upload).where(among(upload.c.id, lapsed)).values(state=UploadState.aborted.value))
     resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
     if resumed:
-        await db.execute(
-            update(upload).where(among(upload.c.id, resumed)).values(**_renewed(site.settings, func.now()))
-        )
+        await db.execute(update(upload).where(among(upload.c.id, resumed)).values(**renewed(site.settings, func.now())))
     begun = [decision for decision in decisions if decision.way is Way.begin]
     if not begun:
         return decisions
@@ -147,14 +133,6 @@ async def _hold_names(
     statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement, rows)}
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
-
-
-def _renewed(settings: Settings, now: Any) -> dict[str, Any]:
-    """Return until when a name is held and an upload kept; `now` is a time, or the database's own."""
-    return {
-        "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
-        "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
-    }
 
 
 def _new_upload(
@@ -173,7 +151,7 @@ def _new_upload(
         "store_id": site.settings.store_id,
         # One prefix a request: its small files are then found with one listing.
         "key": f"{batch}/{upload_id}",
-        **_renewed(site.settings, now),
+        **renewed(site.settings, now),
     }
 
 
@@ -285,65 +263,6 @@ def _answer(
     if read is None:  # also where the file was deleted since: then the answer to asking again is another one
         return HashFirst(path=decision.wanted.path)
     return Present(file=read) if decision.way is Way.present else Linked(file=read)
-
-
-async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) -> list[SignedPart]:
-    """Return where to send parts, in the order asked, and renew the leases of their uploads.
-
-    Raises:
-        UploadGone: an upload has ended, or a file of one part was announced with another checksum before.
-        InvalidRequest: a part that the file does not have.
-    """
-    async with site.database.begin() as db:
-        ids = {part.upload_id for part in wanted}
-        rows = await queries.locked_uploads(db, actor, ids)
-        for part in wanted:
-            _check_signable(rows.get(part.upload_id), part)
-        await db.execute(update(upload).where(among(upload.c.id, ids)).values(**_renewed(site.settings, func.now())))
-        whole = [
-            {"b_id": part.upload_id, "b_checksum": part.checksum}
-            for part in wanted
-            if not is_multipart(rows[part.upload_id]) and rows[part.upload_id].signed_checksum is None
-        ]
-        if whole:
-            statement = update(upload).where(upload.c.id == bindparam("b_id"))
-            await db.execute(statement.values(signed_checksum=bindparam("b_checksum")), whole)
-    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
-    return [_sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
-
-
-def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
-    if row is None or row.state != UploadState.open.value or row.is_expired:
-        raise UploadGone(upload_id=str(part.upload_id))
-    if is_multipart(row) and row.multipart_id is None:  # the server died before the store's answer was written down
-        raise UploadGone(upload_id=str(part.upload_id))
-    digits = CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
-    if len(part.checksum) != digits:
-        message = f"{row.path!r} is proven by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
-        raise InvalidRequest(problems=[FieldProblem(field="parts.checksum", message=message)])
-    if not is_multipart(row) and row.signed_checksum not in {None, part.checksum}:
-        raise UploadGone(upload_id=str(part.upload_id))
-    count = max(1, -(-row.size_bytes // row.part_size_bytes))
-    if part.number > count:
-        message = (
-            f"{row.path!r} has {count} parts of {row.part_size_bytes} bytes; part {part.number} is not one of them"
-        )
-        raise InvalidRequest(problems=[FieldProblem(field="parts.number", message=message)])
-
-
-def expected_part_bytes(row: Row[Any], number: int) -> int:
-    """Return the size of a part, counted from 1: all but the last are alike."""
-    return int(min(row.part_size_bytes, row.size_bytes - (number - 1) * row.part_size_bytes))
-
-
-def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
-    size_bytes = expected_part_bytes(row, part.number)
-    target = PartTarget(row.key, row.multipart_id, part.number, size_bytes, part.checksum)
-    storage = site.storage.proving_by(ChecksumKind(row.checksum))
-    signed = storage.sign_part(target, expires_s=site.settings.part_url_s)
-    return SignedPart(
-        upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
-    )
 
 
 async def abort_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> None:
