@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Connection, Fields
@@ -17,6 +17,7 @@ from kleinkram.recordings.bag.walking import MessageLayout, learn_layout, walk_m
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
+from kleinkram.recordings.listening import Listener, Stretches
 from kleinkram.recordings.tally import Batch
 
 _U32 = struct.Struct("<I")
@@ -25,13 +26,25 @@ _OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
 
 
+class BagListener(Listener, Protocol):
+    """Is told of definitions, too."""
+
+    def define(self, fields: Fields, data: bytes, where: str) -> None:
+        """Take note of a connection."""
+
+
 @dataclass
 class BagFacts:
-    """What the records of a bag said so far."""
+    """What the records of a bag said so far.
+
+    Attributes:
+        listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
+    """
 
     connections: dict[int, Connection] = field(default_factory=dict)
     names_bytes: int = 0
     layout: MessageLayout | None = None
+    listener: BagListener | None = None
 
     def define(self, number: int, connection: Connection, where: str) -> None:
         """Note a connection; the first of a number counts."""
@@ -52,10 +65,14 @@ class Hole(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a walk through the records of a chunk came to; `end`: of the chunk, in its bytes."""
+    """What a walk through the records of a chunk came to; `end`: of the chunk, in its bytes.
+
+    `stretches`: those in which the records follow each other. Behind a message whose length is wrong they overlap.
+    """
 
     holes: list[Hole]
     end: int
+    stretches: Stretches
 
 
 @dataclass(frozen=True)
@@ -156,7 +173,9 @@ def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool
     stands that no chunk holds.
     """
     holes: list[Hole] = []
+    stretches: list[tuple[int, int]] = []
     at, end = 0, len(raw)
+    first = at
     while at < end:
         before = at
         at, last = walk(raw, at, end, facts, batch)
@@ -165,15 +184,16 @@ def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool
         try:
             at = read_record(raw, at, facts, batch)
         except Malformed as fault:
+            stretches.append((first, at))
             if ends_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
                 holes.append(Hole(at, at, Malformed(fault.where, "its end is missing")))
-                return Contents(holes, at)
+                return Contents(holes, at, tuple(stretches))
             # The length of the message before may be what is wrong.
             found = find_record(raw, (last if at > before else at) + 1, end)
             after = end if found is None else found
             holes.append(Hole(at, max(at, after), fault))
-            at = after
-    return Contents(holes, end)
+            first = at = after
+    return Contents(holes, end, (*stretches, (first, end)))
 
 
 def walk(data: Buffer, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
@@ -218,3 +238,5 @@ def define(record: Record, data: bytes, facts: BagFacts, where: str) -> None:
         raise Malformed(where, f"a connection of {record.data_bytes} bytes", certain=False)
     number, connection = records.read_connection(record.fields, data, where)
     facts.define(number, connection, where)
+    if facts.listener is not None:
+        facts.listener.define(record.fields, data, where)

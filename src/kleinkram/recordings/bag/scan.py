@@ -11,12 +11,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import contents, records
-from kleinkram.recordings.bag.contents import BagFacts, Record, find_record, parse_record, read_contents, walk
+from kleinkram.recordings.bag.contents import (
+    BagFacts,
+    BagListener,
+    Record,
+    find_record,
+    parse_record,
+    read_contents,
+    walk,
+)
 from kleinkram.recordings.bag.walking import learn_layout
 from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE, WINDOW
+from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.stream import Cut, Decompressed, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
@@ -50,8 +59,9 @@ class BagScan:
 
 
 class _Scanner:
-    def __init__(self, forward: Forward) -> None:
+    def __init__(self, forward: Forward, listener: BagListener | None) -> None:
         self.scan = BagScan()
+        self.scan.facts.listener = listener
         self._stream = Lookahead(forward, with_crc=False)
         self._chunk: ListedChunk | None = None
         self._connections_claimed = self._chunks_claimed = 0
@@ -146,6 +156,7 @@ class _Scanner:
         elif record.opcode == records.MESSAGE:
             batch = Batch(self.scan.facts.connections)
             contents.add_message(record, batch)
+            self._tell(Place(RECORDS, stream.position, total, total), batch)
             self.scan.tally.add(batch)
         elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
             self._note_index_record(record, where)
@@ -200,14 +211,16 @@ class _Scanner:
         try:
             if max(total, uncompressed) > MAX_AT_ONCE:
                 stream.advance(head_bytes)
-                self._read_large_chunk(compression, record.data_bytes, uncompressed)
+                place = Place(CUT, start, total, uncompressed)
+                self._read_large_chunk(compression, record.data_bytes, place)
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
                 self._doubt(total, compression)
                 stored = stream.window[stream.at + head_bytes : stream.at + total]
                 raw = decompress(compression, stored, uncompressed)
-                end = self._read_contents(raw, record.data_bytes, start, ends_early=compression == "none")
+                place = Place(CHUNK, start, total, uncompressed)
+                end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
                 stream.advance(total if end == len(raw) else head_bytes + end)
         except Malformed as error:
             damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
@@ -218,29 +231,30 @@ class _Scanner:
         scan.chunks += not partly
         self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
 
-    def _read_contents(self, raw: bytes, stored: int, start: int, *, ends_early: bool) -> int:
+    def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> int:
         """Add the messages of a chunk; return where in `raw` it ends."""
         scan = self.scan
         batch = Batch(scan.facts.connections)
-        holes, end = read_contents(raw, scan.facts, batch, ends_early=ends_early)
+        holes, end, stretches = read_contents(raw, scan.facts, batch, ends_early=ends_early)
         self._define()
+        self._tell(place._replace(stretches=stretches) if holes else place, batch)
         scan.tally.add(batch, stored=stored, uncompressed=len(raw))
         for hole in holes:
             message = f"{hole.fault.message} ({hole.start} bytes into it)"
-            scan.losses.note(Malformed(f"chunk at byte {start}", message))
+            scan.losses.note(Malformed(f"chunk at byte {place.start}", message))
             scan.losses.bytes += (hole.end - hole.start) * stored // len(raw)
         if end < len(raw):
             scan.losses.messages_are_known = False
             scan.losses.vain_bytes += len(raw)
         return end
 
-    def _read_large_chunk(self, compression: str, stored: int, uncompressed: int) -> None:
+    def _read_large_chunk(self, compression: str, stored: int, place: Place) -> None:
         """Add the messages of a chunk that is too large to be held, from where its data begin.
 
         Raises:
             Malformed: it is damaged, or ends with the file.
         """
-        scan, outer = self.scan, self._stream
+        scan, outer, uncompressed = self.scan, self._stream, place.uncompressed
         left = stored
 
         def read(most: int) -> bytes:
@@ -261,10 +275,12 @@ class _Scanner:
                 inner.advance(walked if walked else self._pass_inner(inner, batch))
                 if inner.position - flushed > _FLUSH_BYTES:
                     flushed = inner.position
+                    self._tell(place, batch)
                     scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
                     batch = Batch(scan.facts.connections)
         finally:
             self._define()
+            self._tell(place, batch)
             scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
 
     def _pass_inner(self, inner: Lookahead, batch: Batch) -> int:
@@ -327,10 +343,11 @@ class _Scanner:
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         scan.compression.add(compression)
         before, used = scan.tally.messages, 0
+        place = Place(CUT, stream.position, stream.left, uncompressed)
         if max(stream.left, uncompressed) > MAX_AT_ONCE:
             stream.advance(head_bytes)
             try:
-                self._read_large_chunk(compression, record.data_bytes, uncompressed)
+                self._read_large_chunk(compression, record.data_bytes, place)
             except Malformed:
                 used = 0
         else:
@@ -338,8 +355,9 @@ class _Scanner:
             stored = bytes(stream.window[stream.at + head_bytes :])
             raw = decompress_beginning(compression, stored, uncompressed)
             batch = Batch(scan.facts.connections)
-            holes, _ = read_contents(raw, scan.facts, batch)
+            holes, _, stretches = read_contents(raw, scan.facts, batch)
             self._define()
+            self._tell(place._replace(stretches=stretches), batch)
             scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
             followed = len(raw) - sum(hole.end - hole.start for hole in holes)
             used = head_bytes + len(stored) * followed // len(raw) if followed else 0
@@ -373,14 +391,18 @@ class _Scanner:
             self._chunk.settle(self.scan.losses)
             self._chunk = None
 
+    def _tell(self, place: Place, batch: Batch) -> None:
+        if self.scan.facts.listener is not None:
+            self.scan.facts.listener.hear(place, batch)
+
     def _define(self) -> None:
         self.scan.tally.learn(self.scan.facts.connections)
 
 
-def scan_bag_records(forward: Forward) -> BagScan:
-    """Read a whole bag. Its content never raises.
+def scan_bag_records(forward: Forward, listener: BagListener | None = None) -> BagScan:
+    """Read a whole bag. Its content never raises. The listener is told of every message that is counted.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    return _Scanner(forward).run()
+    return _Scanner(forward, listener).run()

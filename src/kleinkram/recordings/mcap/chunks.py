@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning, open_decompressed
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import WINDOW
+from kleinkram.recordings.limits import MAX_TAKE, WINDOW
+from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
 from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
@@ -64,20 +65,22 @@ def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) 
     raw = decompress(head.compression, stored, head.uncompressed)
     if head.crc and zlib.crc32(raw) != head.crc:
         raise Malformed("chunk", "its checksum is wrong")
-    return _walk(raw, facts, batch)
+    return walk_contents(raw, facts, batch)
 
 
-def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> int:
-    """Add the messages of a chunk whose end is missing; return how many of the `stored` bytes they stand in."""
+def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> tuple[int, int]:
+    """Add the messages of a chunk whose end is missing; return how many of the `stored` bytes they stand in, and how
+    many of the content.
+    """
     raw = decompress_beginning(head.compression, stored, head.uncompressed)
-    walked = _walk(raw, facts, batch).walked
-    return len(stored) * walked // len(raw) if raw else 0
+    walked = walk_contents(raw, facts, batch).walked
+    return (len(stored) * walked // len(raw) if raw else 0), walked
 
 
-def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally) -> None:
+def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
     """Add the messages of a chunk that is too large to be held, from where its data begin.
 
-    They are added before the CRC at the end is known.
+    They are added before the CRC at the end is known. `place`: of the chunk, for the listener.
 
     Raises:
         Malformed: it is damaged, or ends with the file.
@@ -100,16 +103,25 @@ def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally
             inner.advance(walked if walked else _pass_record(inner, facts, batch))
             if inner.position - flushed > _FLUSH_BYTES:
                 flushed = inner.position
+                tell(facts, place, batch)
                 tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
                 batch = Batch(facts.channels)
     finally:
         tally.learn(facts.channels)
+        tell(facts, place, batch)
         tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
     if head.crc and inner.crc() != head.crc:
         raise Malformed("chunk", "its checksum is wrong")
 
 
-def _walk(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
+def tell(facts: McapFacts, place: Place, batch: Batch) -> None:
+    """Tell the listener, if there is one, of messages at a place."""
+    if facts.listener is not None:
+        facts.listener.hear(place, batch)
+
+
+def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
+    """Add the messages of records to the batch, as far as they can be followed."""
     at, end = 0, len(raw)
     while True:
         at, _ = walk_messages(raw, at, end, batch)
@@ -123,7 +135,7 @@ def _walk(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
             return Contents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
-                _DEFINITIONS[opcode](facts, raw[body : body + min(length, _HEAD_OF_DEFINITION)], f"byte {at}")
+                _define(facts, opcode, raw[body : body + _most_of_definition(facts, length)], f"byte {at}")
             except Malformed as fault:
                 return Contents(at, fault)
         at = body + length
@@ -140,10 +152,22 @@ def _pass_record(inner: Lookahead, facts: McapFacts, batch: Batch) -> int:
     if opcode == records.MESSAGE:
         read_large_message(inner, batch)
     elif opcode in _DEFINITIONS:
+        most = _most_of_definition(facts, length)
+        inner.ahead(RECORD_HEAD.size + most)
         body = inner.at + RECORD_HEAD.size
-        head = bytes(inner.window[body : body + min(length, _HEAD_OF_DEFINITION)])
-        _DEFINITIONS[opcode](facts, head, f"byte {inner.position}")
+        _define(facts, opcode, bytes(inner.window[body : body + most]), f"byte {inner.position}")
     return total
+
+
+def _most_of_definition(facts: McapFacts, length: int) -> int:
+    """Return how much of a definition is looked at: its names, or all of it for a listener."""
+    return min(length, _HEAD_OF_DEFINITION if facts.listener is None else MAX_TAKE)
+
+
+def _define(facts: McapFacts, opcode: int, body: bytes, where: str) -> None:
+    _DEFINITIONS[opcode](facts, body, where)
+    if facts.listener is not None:
+        facts.listener.define(opcode, body, where)
 
 
 def read_large_message(stream: Lookahead, batch: Batch) -> None:

@@ -9,10 +9,11 @@ import struct
 import sys
 from array import array
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.listening import Listener
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
 
@@ -62,9 +63,20 @@ class ChunkPlace(NamedTuple):
     uncompressed_bytes: int
 
 
+class McapListener(Listener, Protocol):
+    """Is told of definitions, too."""
+
+    def define(self, opcode: int, body: bytes, where: str) -> None:
+        """Take note of a schema or a channel."""
+
+
 @dataclass
 class McapFacts:
-    """What the records of one file said so far."""
+    """What the records of one file said so far.
+
+    Attributes:
+        listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
+    """
 
     library: str = ""
     profile: str = ""
@@ -77,6 +89,7 @@ class McapFacts:
     attachments: int = 0
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
+    listener: McapListener | None = None
 
 
 class BodyReader:

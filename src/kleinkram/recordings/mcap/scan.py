@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
+from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, records
 from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
-from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
+from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts, McapListener
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import ROW, Batch, Tally
@@ -53,8 +54,9 @@ class Scan:
 
 
 class _Scanner:
-    def __init__(self, forward: Forward) -> None:
+    def __init__(self, forward: Forward, listener: McapListener | None) -> None:
         self.scan = Scan()
+        self.scan.facts.listener = listener
         self._stream = Lookahead(forward)
         self._loose = Batch(self.scan.facts.channels)
         self._loose_bytes = 0
@@ -92,6 +94,7 @@ class _Scanner:
             if is_alone and stream.window[after] == records.MESSAGE_INDEX:
                 self._forget_message(last)
             self._end_chunk()
+            self._tell_loose(after - stream.at)
             self._pass_loose(last - stream.at)
             self._pass(after - last)
             return
@@ -151,12 +154,14 @@ class _Scanner:
             self._pass_data_end(total, where)
         elif opcode == records.MESSAGE:
             chunks.read_large_message(stream, self._loose)
+            self._tell_loose(total)
             self._pass_loose(0)
             self._pass(total)
         else:
             if opcode in _READERS:
                 body = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
                 _READERS[opcode](self.scan.facts, body, where)
+                self._tell_definition(opcode, length, where)
             self._pass(total)
 
     def _pass_chunk(self, total: int) -> None:
@@ -186,8 +191,9 @@ class _Scanner:
         stream, scan = self._stream, self.scan
         if max(total, head.uncompressed) > MAX_AT_ONCE:
             end = stream.position + total
+            place = Place(CUT, stream.position, total, head.uncompressed)
             stream.advance(head.data_start)
-            chunks.read_large_chunk(stream, head, scan.facts, scan.tally)
+            chunks.read_large_chunk(stream, head, scan.facts, scan.tally, place)
             stream.advance(end - stream.position)
             return None
         stream.ahead(total + LOOK)
@@ -197,6 +203,8 @@ class _Scanner:
         stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         scan.tally.learn(scan.facts.channels)
+        stretches = ((0, contents.walked),) if contents.fault else None
+        chunks.tell(scan.facts, Place(CHUNK, stream.position, total, head.uncompressed, stretches), batch)
         scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
         stream.advance(total)
         return contents.fault
@@ -235,18 +243,20 @@ class _Scanner:
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
         before, used = scan.tally.messages, 0
+        place = Place(CUT, stream.position, stream.left, head.uncompressed)
         if max(stream.left, head.uncompressed) > MAX_AT_ONCE:
             try:
                 stream.advance(head.data_start)
-                chunks.read_large_chunk(stream, head, scan.facts, scan.tally)
+                chunks.read_large_chunk(stream, head, scan.facts, scan.tally, place)
             except Malformed:
                 used = 0
         else:
             stream.ahead(stream.left)
             batch = Batch(scan.facts.channels)
             stored = bytes(stream.window[stream.at + head.data_start :])
-            used = chunks.read_beginning(stored, head, scan.facts, batch)
+            used, walked = chunks.read_beginning(stored, head, scan.facts, batch)
             scan.tally.learn(scan.facts.channels)
+            chunks.tell(scan.facts, place._replace(stretches=((0, walked),)), batch)
             scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
         scan.losses.unproven += scan.tally.messages - before
         scan.losses.chunks += 1
@@ -331,6 +341,19 @@ class _Scanner:
         if self._loose_bytes > _FLUSH_BYTES:
             self._flush_loose()
 
+    def _tell_loose(self, length: int) -> None:
+        """Tell the listener of the messages outside of chunks that stand in the next bytes, as many as are given."""
+        if self.scan.facts.listener is not None:
+            chunks.tell(self.scan.facts, Place(RECORDS, self._stream.position, length, length), self._loose)
+            self._flush_loose()  # what the batch holds next stands somewhere else
+
+    def _tell_definition(self, opcode: int, length: int, where: str) -> None:
+        stream, listener = self._stream, self.scan.facts.listener
+        if listener is not None and opcode in (records.SCHEMA, records.CHANNEL):
+            most = RECORD_HEAD.size + min(length, MAX_TAKE)
+            stream.ahead(most)
+            listener.define(opcode, bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + most]), where)
+
     def _flush_loose(self) -> None:
         self.scan.tally.learn(self.scan.facts.channels)
         self.scan.tally.add(self._loose)
@@ -361,10 +384,10 @@ class _Scanner:
         self._stream.advance(self._stream.left)
 
 
-def scan_records(forward: Forward) -> Scan:
-    """Read a whole file. Its content never raises.
+def scan_records(forward: Forward, listener: McapListener | None = None) -> Scan:
+    """Read a whole file. Its content never raises. The listener is told of every message that is counted.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    return _Scanner(forward).run()
+    return _Scanner(forward, listener).run()

@@ -10,18 +10,19 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Fields, read_chunk_counts
-from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.bag.scan import scan_bag_records
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import SourceForward
-from kleinkram.recordings.limits import MAX_CHUNKS, MAX_TAKE, MAX_TOPICS, WINDOW
-from kleinkram.recordings.reading.bag_chunks import MESSAGE_DATA, Record, read_connection, walk
-from kleinkram.recordings.reading.chunk_table import CHUNK, CUT, ChunkTable, Row
+from kleinkram.recordings.limits import MAX_CHUNKS, MAX_TOPICS
+from kleinkram.recordings.listening import CHUNK
+from kleinkram.recordings.reading.bag_chunks import read_connection, walk
+from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import MAX_DEFINITIONS
+from kleinkram.recordings.reading.gathering import Gathering
 from kleinkram.recordings.reading.model import Channel
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.reading.unpacking import limited
 from kleinkram.recordings.sources import Source
-from kleinkram.recordings.stream import Cut, ForwardStream, open_range
+from kleinkram.recordings.stream import ForwardStream, open_range
 
 _GUESSED_RATIO = 4
 _HEAD_WINDOW = 4096
@@ -116,59 +117,30 @@ def _place(index: BagIndex, found: list[tuple[int, int, int, int]], index_start:
         raise Malformed("index", "it lists chunks of connections that it does not define")
 
 
+class _Gathering(Gathering):
+    def __init__(self, index: BagIndex, noticed: Noticed) -> None:
+        super().__init__(index.table, noticed)
+        self._index = index
+
+    def define(self, fields: Fields, data: bytes, where: str) -> None:
+        """Take note of a connection."""
+        try:
+            self._index.define(fields, data, where)
+        except Malformed as error:
+            self.noticed.add("damaged", error.where, error.message)
+
+
 def rebuild_index(source: Source, noticed: Noticed) -> BagIndex:
-    """Return the index of what can be read of a bag, which is read once from end to end; what cannot is noted.
+    """Return the index of what can be read of a bag, which is scanned once from end to end; what cannot is noted.
 
     Raises:
         SourceError: as `Source.read`.
     """
     index = BagIndex()
-    forward = SourceForward(source)
-    stream = ForwardStream(lambda: forward.read(WINDOW))
-    try:
-        stream.skip(len(records.MAGIC))
-        for record in walk(stream):
-            if record.opcode == records.CONNECTION:
-                index.define(record.fields, stream.take(min(record.data_bytes, MAX_TAKE)), f"byte {record.start}")
-            elif record.opcode == records.CHUNK:
-                _rebuild_chunk(source, stream, record, index, noticed)
-    except Malformed as error:
-        noticed.add("damaged", error.where, f"reading ends here: {error.message}")
+    gathering = _Gathering(index, noticed)
+    scan = scan_bag_records(SourceForward(source), gathering)
+    gathering.finish(scan.losses)
+    if scan.refused is not None:
+        noticed.add("damaged", scan.refused.where, scan.refused.message)
+    index.counts.update((number, count) for number, count in gathering.counts.items() if number in index.channels)
     return index
-
-
-def _rebuild_chunk(source: Source, stream: ForwardStream, record: Record, index: BagIndex, noticed: Noticed) -> None:
-    end = stream.position + record.data_bytes
-    counts: dict[int, int] = defaultdict(int)
-    span = [2**64 - 1, 0]
-    kind, uncompressed = CHUNK, 0
-    try:
-        uncompressed = record.fields.u32("size")
-        compression = record.fields.text("compression").replace("none", "")
-        content = open_decompressed(compression, limited(stream, record.data_bytes), uncompressed)
-        _read_content(content, index, counts, span)
-        if content.position != uncompressed:
-            raise Cut(f"byte {record.start}", f"{uncompressed} bytes are claimed, {content.position} came out")
-    except Malformed as error:
-        if end <= source.size_bytes:
-            noticed.add("damaged", f"chunk at byte {record.start}", f"left out: {error.message}")
-            return
-        kind = CUT
-    end = min(end, source.size_bytes)
-    if counts:
-        members = index.table.set_number(counts)
-        row = Row(record.start, end - record.start, end, span[0], span[1], kind, members, uncompressed)
-        index.table.rows.append(row)
-        for number, count in counts.items():
-            index.counts[number] += count
-
-
-def _read_content(content: ForwardStream, index: BagIndex, counts: dict[int, int], span: list[int]) -> None:
-    for record in walk(content):
-        if record.opcode == records.CONNECTION:
-            index.define(record.fields, content.take(min(record.data_bytes, MAX_TAKE)), f"byte {record.start}")
-        elif record.opcode == MESSAGE_DATA:
-            number, log_ns = record.fields.u32("conn"), record.fields.time_ns("time")
-            content.skip(record.data_bytes)
-            counts[number] += 1
-            span[:] = min(span[0], log_ns), max(span[1], log_ns)

@@ -11,15 +11,13 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
+from kleinkram.recordings.listening import Stretches
 from kleinkram.recordings.packed import PackedTable
 from kleinkram.recordings.reading.model import Selection
 
 MAX_SET_BYTES = 16 * 2**20
 ANY_CHANNEL = 0
 """The set of a chunk of which is not known who is in it."""
-
-CHUNK, RECORDS, CUT = range(3)
-"""What a row is: a chunk; records that stand in no chunk; a chunk whose end is missing or damaged."""
 
 
 class ChunkHead(NamedTuple):
@@ -34,7 +32,7 @@ class ChunkHead(NamedTuple):
 class Row(NamedTuple):
     """A piece of a file: [start, start + length). Times are inclusive; `uncompressed_bytes` may be a guess.
 
-    `end`: behind what belongs to it, such as its message indexes.
+    `end`: behind what belongs to it, such as its message indexes. `kind`: as in `listening.Place`.
     """
 
     start: int
@@ -49,9 +47,14 @@ class Row(NamedTuple):
 
 @dataclass
 class ChunkTable:
-    """The chunks of one file, in the order of the file."""
+    """The chunks of one file, in the order of the file.
+
+    Attributes:
+        stretches: of the content of damaged chunks, by their start: what can be followed; see `listening.Place`.
+    """
 
     rows: PackedTable[Row] = field(default_factory=lambda: PackedTable(Row, len(Row._fields)))
+    stretches: dict[int, Stretches] = field(default_factory=dict)
     _sets: list[frozenset[int]] = field(default_factory=lambda: [frozenset()])
     _numbers: dict[frozenset[int], int] = field(default_factory=dict)
     _set_bytes: int = 0

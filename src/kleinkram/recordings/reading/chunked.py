@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 
-from kleinkram.recordings.decompress import Buffer, decompress, open_decompressed
+from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning, open_decompressed
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_READ, WINDOW
+from kleinkram.recordings.listening import CHUNK, CUT, RECORDS
 from kleinkram.recordings.reading.ahead import Job, do_ahead
-from kleinkram.recordings.reading.chunk_table import CHUNK, RECORDS, ChunkHead, ChunkTable, Row
+from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
@@ -130,8 +131,8 @@ class _Reader:
         return Job(size, lambda: self._load_group(group))
 
     def _load_group(self, group: list[Row]) -> list[Loaded]:
-        first, last = group[0], group[-1]
-        span = last.start + last.length - first.start
+        first = group[0]
+        span = max(row.start + row.length for row in group) - first.start
         if len(group) == 1 or span > MAX_READ:
             return [self._load(row) for row in group]
         data = memoryview(self._file.source.read(first.start, span))
@@ -144,7 +145,7 @@ class _Reader:
                     f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
                 )
             return _read(self._file.source, row.start, row.length)
-        if row.kind != CHUNK or max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
+        if max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
             return None
         return self._unpack(row, _read(self._file.source, row.start, row.length))
 
@@ -156,6 +157,8 @@ class _Reader:
                 return None
             start = stream.position - row.start
             stored = memoryview(data)[start : start + head.stored_bytes]
+            if row.kind == CUT:
+                return decompress_beginning(head.compression, bytes(stored), head.uncompressed_bytes)
             content = decompress(head.compression, stored, head.uncompressed_bytes)
             if head.crc and zlib.crc32(content) != head.crc:
                 return Malformed(f"byte {row.start}", "its checksum is wrong")
@@ -177,8 +180,11 @@ class _Reader:
         return [] if loaded is None or isinstance(loaded, Malformed) else self._parse(row, loaded)
 
     def _parse(self, row: Row, content: Buffer) -> Block:
+        parse, messages = self._file.format.parse_messages, Block()
+        stretches = self._file.table.stretches.get(row.start, ((0, len(content)),))
         try:
-            messages = self._file.format.parse_messages(content, self._wanted, self._selection)
+            for start, end in stretches:
+                messages += parse(content[start:end], self._wanted, self._selection)
         except Malformed as error:
             self._note(row, error)
             return []
@@ -192,10 +198,12 @@ class _Reader:
         faults: list[Malformed] = []
         try:
             with temporary_copy(self._content_of(row, faults)) as path, FileSource(path) as content:
-                if faults:
-                    self._note(row, faults[0])
                 if faults and row.kind == CHUNK:
+                    self._note(row, faults[0])
                     return
+                if faults:
+                    where, message = f"chunk at byte {row.start}", f"its messages are read up to there: {faults[0]}"
+                    file.noticed.add("damaged", where, message)
                 table = file.format.table_of_records(open_range(content, 0, content.size_bytes))
                 inside = ChunkedFile(content, file.format, table, file.channels, file.noticed)
                 for block in merge(pieces_of(inside, self._selection, ())):

@@ -8,7 +8,7 @@ _SHOWN = 20
 
 
 class NotARecording(RecordingError):
-    """What was to be opened holds no messages that we read.
+    """What was to be opened holds no messages, or none of a format that we read.
 
     Attributes:
         name: of the file or folder.

@@ -9,8 +9,9 @@ from typing import NamedTuple
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_NAME, WINDOW
+from kleinkram.recordings.listening import RECORDS
 from kleinkram.recordings.mcap import records
-from kleinkram.recordings.reading.chunk_table import RECORDS, ChunkHead, ChunkTable, Row
+from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Selection
 from kleinkram.recordings.stream import ForwardStream

@@ -14,9 +14,10 @@ from itertools import chain
 
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.limits import TAIL
+from kleinkram.recordings.listening import CHUNK
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.records import BodyReader
-from kleinkram.recordings.reading.chunk_table import ANY_CHANNEL, CHUNK, ChunkTable, Row
+from kleinkram.recordings.reading.chunk_table import ANY_CHANNEL, ChunkTable, Row
 from kleinkram.recordings.reading.definitions import Definitions
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range

@@ -45,6 +45,8 @@ _READ_WHOLE = {
     RecordingFormat.zstd: "it is compressed as a whole",
 }
 
+_UNREAD = {RecordingFormat.ulog: "ULog of PX4", RecordingFormat.svo2: "SVO2 of a ZED camera"}
+
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 
@@ -116,6 +118,8 @@ class _Opener:
             raise NotARecording(file.source.name, "it is a ROS bag 1.x: convert it with 'rosbag migrate'")
         if kind is RecordingFormat.empty:
             raise NotARecording(file.source.name, "it has 0 bytes")
+        if kind in _UNREAD:
+            raise NotARecording(file.source.name, f"it is a {_UNREAD[kind]}, and reading that format is not supported")
         raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
 
     def _most_bytes(self, source: Source) -> int | None:
