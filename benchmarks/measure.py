@@ -5,7 +5,7 @@ import os
 import statistics
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 PAIRS = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6"))
@@ -60,3 +60,13 @@ def pair(ours: Callable[[], Run], raw: Callable[[], Run], *, pairs: int = PAIRS)
             our_runs.append(ours())
     ratios = [theirs.seconds / our.seconds for our, theirs in zip(our_runs, raw_runs, strict=True)]
     return Pairing(our_runs, raw_runs, statistics.median(ratios))
+
+
+def take_turns(names: Sequence[str], *arguments: str, module: str, rounds: int) -> dict[str, list[Run]]:
+    """Run each side as often as every other, in an order that turns."""
+    runs: dict[str, list[Run]] = {name: [] for name in names}
+    for number in range(rounds):
+        shift = number % len(names)
+        for name in (*names[shift:], *names[:shift]):
+            runs[name].append(run_side(name, *arguments, environment={}, module=module))
+    return runs

@@ -59,6 +59,9 @@ def arrow_ours(path: str, topic: str) -> dict[str, float]:
     with Recording.open(path) as recording:
         rows = recording.to_arrow(topic).num_rows
         seconds = time.perf_counter() - started
+        peak_kib = resource.getrusage(
+            resource.RUSAGE_SELF
+        ).ru_maxrss  # before the messages are held for the second table
         schema = recording.topic(topic).schema
         messages = [(m.log_time_ns, m.publish_time_ns, bytes(m.data)) for m in recording.raw_messages([topic])]
     decoder = decoder_for("cdr", schema.name, schema.encoding, schema.data)
@@ -67,6 +70,7 @@ def arrow_ours(path: str, topic: str) -> dict[str, float]:
     return {
         "seconds": seconds,
         "messages": rows,
+        "file_peak_mb": peak_kib / 1024,
         "table_messages_per_s": table.num_rows / (time.perf_counter() - started),
     }
 

@@ -4,7 +4,7 @@ import os
 import statistics
 from pathlib import Path
 
-from benchmarks.measure import Run, run_side
+from benchmarks.measure import run_side, take_turns
 from kleinkram.recordings.sample import generate_bag
 
 ROUNDS = int(os.environ.get("KLEINKRAM_BENCH_ROUNDS", "3"))
@@ -50,7 +50,7 @@ def synthetic_row(_path: Path) -> Row:
 
 
 def _scan_row(path: Path, names: list[str], *, least_mb_s: int) -> Row:
-    runs = _rounds(names, path)
+    runs = take_turns(names, str(path), module=_SIDES, rounds=ROUNDS)
     if len({run.facts["messages"] for side in runs.values() for run in side}) != 1:
         raise SystemExit(f"the sides found different numbers of messages in {path.name}")
     size_mb = path.stat().st_size / _MB
@@ -69,13 +69,3 @@ def _scan_row(path: Path, names: list[str], *, least_mb_s: int) -> Row:
         "mb_per_s": speeds,
         "cpu_s": cpu_s,
     }
-
-
-def _rounds(names: list[str], path: Path) -> dict[str, list[Run]]:
-    """Run each side as often as every other, in an order that turns."""
-    runs: dict[str, list[Run]] = {name: [] for name in names}
-    for number in range(ROUNDS):
-        shift = number % len(names)
-        for name in names[shift:] + names[:shift]:
-            runs[name].append(run_side(name, str(path), environment={}, module=_SIDES))
-    return runs
