@@ -161,10 +161,11 @@ def tell_readable(messages: int, lost: Lost | None) -> str:
 
 
 def tell_damage(damage: Sequence[Malformed]) -> str:
-    """Say where a file is damaged."""
+    """Say where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
     first = damage[0]
+    place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
     more = f" (and {len(damage) - 1} more damaged places)" if len(damage) > 1 else ""
-    return f"{first.where}: {first.message}{more}"
+    return f"{place}: {first.message}{more}"
 
 
 def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:

@@ -29,7 +29,7 @@ _LONGEST_SEARCHED_HEADER = 512
 class BagListener(Listener, Protocol):
     """Is told of definitions, too."""
 
-    def define(self, fields: Fields, data: bytes, where: str) -> None:
+    def define(self, fields: Fields, data: bytes, where: str, /) -> None:
         """Take note of a connection."""
 
 

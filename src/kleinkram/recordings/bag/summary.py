@@ -98,7 +98,7 @@ def _what_is_wrong(scan: BagScan) -> str:
     if scan.index_start == 0:
         parts.append("it was not closed by its recorder, so it has no index (index_pos is 0)")
     if scan.losses.damage:
-        parts.append(f"it is damaged at {tell_damage(scan.losses.damage)}")
+        parts.append(f"it is damaged {tell_damage(scan.losses.damage)}")
     if scan.index_start is None:
         parts.append("it has no bag header")
     if scan.losses.unproven:

@@ -66,7 +66,7 @@ class ChunkPlace(NamedTuple):
 class McapListener(Listener, Protocol):
     """Is told of definitions, too."""
 
-    def define(self, opcode: int, body: bytes, where: str) -> None:
+    def define(self, opcode: int, body: bytes, where: str, /) -> None:
         """Take note of a schema or a channel."""
 
 

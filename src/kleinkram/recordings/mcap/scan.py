@@ -8,6 +8,7 @@ place where one can begin. What is left out on the way is measured.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
@@ -17,7 +18,7 @@ from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, records
 from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
-from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts, McapListener
+from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import ROW, Batch, Tally
@@ -384,10 +385,19 @@ class _Scanner:
         self._stream.advance(self._stream.left)
 
 
-def scan_records(forward: Forward, listener: McapListener | None = None) -> Scan:
+def scan_records(
+    forward: Forward, listener: McapListener | None = None, channels: Mapping[int, Channel] | None = None
+) -> Scan:
     """Read a whole file. Its content never raises. The listener is told of every message that is counted.
+
+    Args:
+        forward: the file.
+        listener: as above.
+        channels: that are known before; a part of a file may not define its own.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    return _Scanner(forward, listener).run()
+    scanner = _Scanner(forward, listener)
+    scanner.scan.facts.channels.update(channels or {})
+    return scanner.run()

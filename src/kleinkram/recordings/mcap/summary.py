@@ -104,7 +104,7 @@ def _what_is_wrong(scan: Scan) -> str:
     never_closed = "" if scan.closed else "it has no footer, so it was cut or never closed"
     if not scan.losses.damage:
         return never_closed
-    damage = f"damaged at {tell_damage(scan.losses.damage)}"
+    damage = f"damaged {tell_damage(scan.losses.damage)}"
     if scan.losses.unproven:
         damage += (
             f"; {scan.losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"

@@ -1,8 +1,8 @@
 """One file made of chunks (MCAP, ROS 1 bag): from its table of chunks to messages in the order of time.
 
 Only chunks that may hold what is wanted are read. The next ones are fetched, decompressed and checked meanwhile, as
-far ahead as `do_ahead` allows. A chunk that fails its checksum or cannot be decompressed is left out and named in the
-problems; one larger than `MAX_CHUNK_HELD` goes through a temporary file.
+far ahead as `do_ahead` allows. A chunk that fails its checksum or cannot be decompressed is named in the problems, and
+what a scan finds in it is read. One larger than `MAX_CHUNK_HELD` goes through a temporary file.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.salvaging import Salvage
 from kleinkram.recordings.reading.unpacking import limited
 from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
 from kleinkram.recordings.sources import FileSource, Source
@@ -34,6 +35,9 @@ MAX_CHUNK_HELD = MAX_AT_ONCE
 
 MAX_AHEAD = 32 * 2**20
 """Bytes of chunks that are fetched and decompressed ahead."""
+
+MAX_SALVAGED = 256 * 2**20
+"""Bytes of damaged chunks, in one iteration, that are searched for what can be saved."""
 
 _AHEAD_ON_DISK = 8 * 2**20
 _LEAST_WORKERS = 2
@@ -50,22 +54,27 @@ class ChunkFormat:
         open_chunk: reads a chunk's record up to its stored bytes.
         parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
         table_of_records: where messages stand in the content of a chunk that is too large to hold.
+        salvage: where messages stand in a chunk that is damaged.
     """
 
     open_chunk: Callable[[ForwardStream], ChunkHead]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
     table_of_records: Callable[[ForwardStream], ChunkTable]
+    salvage: Salvage
 
 
 @dataclass(frozen=True)
 class ChunkedFile:
-    """A file, where its chunks are, and who writes in them."""
+    """A file, where its chunks are, and who writes in them. `is_part`: it is part of a damaged or
+    large chunk, of which no more can be saved.
+    """
 
     source: Source
     format: ChunkFormat
     table: ChunkTable
     channels: Mapping[int, Channel]
     noticed: Noticed
+    is_part: bool = False
 
 
 Loaded = Buffer | Malformed | None
@@ -102,6 +111,7 @@ class _Reader:
         self._file = file
         self._wanted = wanted
         self._selection = selection
+        self._salvage_left = MAX_SALVAGED
 
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
@@ -170,24 +180,52 @@ class _Reader:
         if loaded is None:
             return Run([], 0, self._large(row))
         if isinstance(loaded, Malformed):
-            self._note(row, loaded)
-            return Run([], 0)
-        messages = self._parse(row, loaded)
+            return self._salvaged(row, loaded)
+        try:
+            messages = self._parse(row, loaded)
+        except Malformed as error:
+            return self._salvaged(row, error)
         return Run(messages, len(loaded) + OVERHEAD_BYTES * len(messages))
 
     def read_again(self, row: Row) -> Block:
         loaded = self._load(row)
-        return [] if loaded is None or isinstance(loaded, Malformed) else self._parse(row, loaded)
+        if loaded is None or isinstance(loaded, Malformed):
+            return []
+        try:
+            return self._parse(row, loaded)
+        except Malformed:
+            return []  # it was whole when it was read before: the file changes meanwhile
+
+    def _salvaged(self, row: Row, damage: Malformed) -> Run:
+        """Read what a scan finds in a damaged chunk."""
+        file = self._file
+        if file.is_part or row.kind == RECORDS or self._salvage_left < row.end - row.start:
+            self._note(row, damage)
+            return Run([], 0)
+        self._salvage_left -= row.end - row.start
+        saved = file.format.salvage(file.source, row, file.channels)
+        if not saved.table.rows:
+            self._note(row, damage)
+            return Run([], 0)
+        self._note_part(row, damage)
+        inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.noticed, is_part=True)
+        return Run([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
+
+    def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
+        for block in blocks:
+            self._compare_start(row, block)
+            yield block
 
     def _parse(self, row: Row, content: Buffer) -> Block:
+        """Return the wanted messages by time.
+
+        Raises:
+            Malformed: a record is damaged.
+        """
         parse, messages = self._file.format.parse_messages, Block()
         stretches = self._file.table.stretches.get(row.start, ((0, len(content)),))
-        try:
-            for start, end in stretches:
-                messages += parse(content[start:end], self._wanted, self._selection)
-        except Malformed as error:
-            self._note(row, error)
-            return []
+        for start, end in stretches:
+            messages += parse(content[start:end], self._wanted, self._selection)
         messages.sort(key=_log_time)
         self._compare_start(row, messages)
         return messages
@@ -198,17 +236,11 @@ class _Reader:
         faults: list[Malformed] = []
         try:
             with temporary_copy(self._content_of(row, faults)) as path, FileSource(path) as content:
-                if faults and row.kind == CHUNK:
-                    self._note(row, faults[0])
-                    return
                 if faults:
-                    where, message = f"chunk at byte {row.start}", f"its messages are read up to there: {faults[0]}"
-                    file.noticed.add("damaged", where, message)
+                    self._note_part(row, faults[0])
                 table = file.format.table_of_records(open_range(content, 0, content.size_bytes))
-                inside = ChunkedFile(content, file.format, table, file.channels, file.noticed)
-                for block in merge(pieces_of(inside, self._selection, ())):
-                    self._compare_start(row, block)
-                    yield block
+                inside = ChunkedFile(content, file.format, table, file.channels, file.noticed, is_part=True)
+                yield from self._compared(row, merge(pieces_of(inside, self._selection, ())))
         except TooLarge as error:
             raise SourceError(f"{file.source.name}: the chunk at byte {row.start}: {error}") from error
 
@@ -247,6 +279,10 @@ class _Reader:
                 "it holds earlier messages than the index says; those that came too late to be in order are left out"
             )
             self._file.noticed.add("index-damaged", f"chunk at byte {row.start}", message)
+
+    def _note_part(self, row: Row, error: Malformed) -> None:
+        message = f"only what could be saved of it is read: {error.message}"
+        self._file.noticed.add("damaged", f"chunk at byte {row.start}", message)
 
     def _note(self, row: Row, error: Malformed) -> None:
         what = "messages" if row.kind == RECORDS else "chunk"

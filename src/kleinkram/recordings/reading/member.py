@@ -16,6 +16,7 @@ from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
 from kleinkram.recordings.reading.merging import Piece
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
+from kleinkram.recordings.reading.salvaging import salvage_bag, salvage_mcap
 from kleinkram.recordings.sources import Source
 
 
@@ -66,8 +67,8 @@ class ChunkedMember:
         """Do nothing: whoever opened the source closes it."""
 
 
-MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records)
-_BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records)
+MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records, salvage_mcap)
+_BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records, salvage_bag)
 
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
