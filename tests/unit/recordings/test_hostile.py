@@ -155,7 +155,7 @@ def test_rubbish_in_a_chunk(compression: bytes, stored: bytes) -> None:
     summary = summarise_bytes(mcap_of(chunk(compression, stored, 1_000)))
     assert (summary.content, summary.message_count) == (Content.broken, 0)
     assert summary.reason is not None
-    assert summary.reason.startswith("it is damaged at chunk at byte 25: ")
+    assert summary.reason.startswith("it is damaged in the chunk at byte 25: ")
     assert summary.lost is not None
     assert summary.lost.chunks == 1
 
