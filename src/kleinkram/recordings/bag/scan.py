@@ -11,28 +11,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import contents, records
-from kleinkram.recordings.bag.contents import (
-    BagFacts,
-    BagListener,
-    Record,
-    find_record,
-    parse_record,
-    read_contents,
-    walk,
-)
-from kleinkram.recordings.bag.walking import learn_layout
-from kleinkram.recordings.decompress import decompress, decompress_beginning, open_decompressed
+from kleinkram.recordings.bag.contents import BagFacts, BagListener, Record, find_record, parse_record, read_contents
+from kleinkram.recordings.bag.large_chunks import read_large_chunk
+from kleinkram.recordings.decompress import decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE, WINDOW
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
-from kleinkram.recordings.stream import Cut, Decompressed, Lookahead
+from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
-_FLUSH_BYTES = 64 * 2**20
 _LEAST_CHUNK_HEAD = 40
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.CONNECTION: "a connection"}
 
@@ -212,7 +203,7 @@ class _Scanner:
             if max(total, uncompressed) > MAX_AT_ONCE:
                 stream.advance(head_bytes)
                 place = Place(CUT, start, total, uncompressed)
-                self._read_large_chunk(compression, record.data_bytes, place)
+                read_large_chunk(stream, compression, record.data_bytes, scan.facts, scan.tally, place)
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
@@ -247,59 +238,6 @@ class _Scanner:
             scan.losses.messages_are_known = False
             scan.losses.vain_bytes += len(raw)
         return end
-
-    def _read_large_chunk(self, compression: str, stored: int, place: Place) -> None:
-        """Add the messages of a chunk that is too large to be held, from where its data begin.
-
-        Raises:
-            Malformed: it is damaged, or ends with the file.
-        """
-        scan, outer, uncompressed = self.scan, self._stream, place.uncompressed
-        left = stored
-
-        def read(most: int) -> bytes:
-            nonlocal left
-            piece = outer.read_up_to(min(most, left))
-            left -= len(piece)
-            return piece
-
-        inner = Lookahead(
-            Decompressed(open_decompressed(compression, read, uncompressed), uncompressed), with_crc=False
-        )
-        batch = Batch(scan.facts.connections)
-        flushed = 0
-        try:
-            while inner.left:
-                inner.ahead(WINDOW)
-                walked = walk(inner.window, inner.at, len(inner.window), scan.facts, batch)[0] - inner.at
-                inner.advance(walked if walked else self._pass_inner(inner, batch))
-                if inner.position - flushed > _FLUSH_BYTES:
-                    flushed = inner.position
-                    self._tell(place, batch)
-                    scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
-                    batch = Batch(scan.facts.connections)
-        finally:
-            self._define()
-            self._tell(place, batch)
-            scan.tally.add(batch, stored=stored, uncompressed=uncompressed)
-
-    def _pass_inner(self, inner: Lookahead, batch: Batch) -> int:
-        """Read a record in a large chunk; return its size."""
-        where = f"byte {inner.position} of its contents"
-        record = parse_record(inner.window, inner.at, where)
-        total = record.end - record.start
-        if total > inner.left:
-            raise Malformed(where, "a record reaches beyond the end")
-        if record.opcode == records.MESSAGE:
-            contents.add_message(record, batch)
-            if self.scan.facts.layout is None:
-                self.scan.facts.layout = learn_layout(inner.window, inner.at)
-        elif record.opcode == records.CONNECTION:
-            inner.ahead(min(total, MAX_TAKE))
-            data_at = inner.at + record.data_start - record.start
-            data = bytes(inner.window[data_at : data_at + record.data_bytes])
-            contents.define(record, data, self.scan.facts, where)
-        return total
 
     def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
@@ -347,7 +285,7 @@ class _Scanner:
         if max(stream.left, uncompressed) > MAX_AT_ONCE:
             stream.advance(head_bytes)
             try:
-                self._read_large_chunk(compression, record.data_bytes, place)
+                read_large_chunk(stream, compression, record.data_bytes, scan.facts, scan.tally, place)
             except Malformed:
                 used = 0
         else:
