@@ -120,6 +120,15 @@ def tell(facts: McapFacts, place: Place, batch: Batch) -> None:
         facts.listener.hear(place, batch)
 
 
+def tell_definition(stream: Lookahead, facts: McapFacts, opcode: int, where: str) -> None:
+    """Tell the listener, if there is one, of the next record, if it is a definition outside of chunks."""
+    if facts.listener is not None and opcode in (records.SCHEMA, records.CHANNEL):
+        _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
+        most = RECORD_HEAD.size + min(length, MAX_TAKE)
+        stream.ahead(most)
+        facts.listener.define(opcode, bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + most]), where)
+
+
 def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
     """Add the messages of records to the batch, as far as they can be followed."""
     at, end = 0, len(raw)

@@ -77,6 +77,16 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     return None
 
 
+def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
+    """Say why no record can begin at a place; None where one can, or where it is not at hand."""
+    if at + min(LOOK, left) > len(data) or left < RECORD_HEAD.size:
+        return None
+    opcode, length = RECORD_HEAD.unpack_from(data, at)
+    if length > left - RECORD_HEAD.size and opcode != records.CHUNK:
+        return "a record that reaches beyond the end of the file"
+    return fault(data, at, left)
+
+
 def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
     after, left = at + RECORD_HEAD.size + length, left - RECORD_HEAD.size - length
     if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):

@@ -13,12 +13,20 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
+from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, records
-from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
+from kleinkram.recordings.mcap.plausible import (
+    LOOK,
+    fault,
+    fault_at_hand,
+    find_record,
+    holds_chunk,
+    stands_outside_chunks,
+)
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
+from kleinkram.recordings.mcap.sections import Sections
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import ROW, Batch, Tally
@@ -62,7 +70,7 @@ class _Scanner:
         self._loose = Batch(self.scan.facts.channels)
         self._loose_bytes = 0
         self._listed: ListedChunk | None = None
-        self._data_end: int | None = None
+        self._sections = Sections(self._stream, self.scan.facts, self.scan.losses)
 
     def run(self) -> Scan:
         scan, stream = self.scan, self._stream
@@ -148,11 +156,12 @@ class _Scanner:
         if opcode == records.CHUNK:
             self._pass_chunk(total)
         elif opcode == records.ATTACHMENT:
-            self._pass_attachment(length, where)
+            self._sections.pass_attachment(length, where)
         elif opcode == records.FOOTER:
-            self._pass_footer(where)
+            self._sections.pass_footer(where)
+            self.scan.closed = True
         elif opcode == records.DATA_END:
-            self._pass_data_end(total, where)
+            self._sections.pass_data_end(total, where)
         elif opcode == records.MESSAGE:
             chunks.read_large_message(stream, self._loose)
             self._tell_loose(total)
@@ -162,7 +171,7 @@ class _Scanner:
             if opcode in _READERS:
                 body = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
                 _READERS[opcode](self.scan.facts, body, where)
-                self._tell_definition(opcode, length, where)
+                chunks.tell_definition(stream, self.scan.facts, opcode, where)
             self._pass(total)
 
     def _pass_chunk(self, total: int) -> None:
@@ -263,42 +272,6 @@ class _Scanner:
         scan.losses.chunks += 1
         self._give_up(cut, used + head.data_start if used else 0)
 
-    def _pass_attachment(self, length: int, where: str) -> None:
-        stream = self._stream
-        body_at = stream.at + RECORD_HEAD.size
-        head = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
-        records.read_attachment(self.scan.facts, head, where)
-        stream.advance(RECORD_HEAD.size)
-        crc = stream.digest(length - _U32.size)
-        (claimed,) = _U32.unpack(stream.read_up_to(_U32.size))
-        if claimed and claimed != crc:
-            self.scan.losses.note(Malformed(f"attachment at {where}", "its checksum is wrong"))
-
-    def _pass_data_end(self, total: int, where: str) -> None:
-        stream = self._stream
-        (claimed,) = _U32.unpack_from(stream.window, stream.at + RECORD_HEAD.size)
-        if self._data_end is None and claimed and claimed != stream.crc() and not self.scan.losses.damage:
-            place = f"data section (to {where})"
-            self.scan.losses.note(
-                Malformed(place, "its checksum is wrong: some of its bytes are not as they were written")
-            )
-        stream.advance(total)
-        stream.restart_crc()
-        self._data_end = stream.position
-
-    def _pass_footer(self, where: str) -> None:
-        stream = self._stream
-        body_at = stream.at + RECORD_HEAD.size
-        summary_start, _offsets_start, claimed = records.FOOTER_BODY.unpack_from(stream.window, body_at)
-        stream.advance(RECORD_HEAD.size + records.FOOTER_BODY.size - _U32.size)
-        if claimed and summary_start == self._data_end and claimed != stream.crc() and not self.scan.losses.damage:
-            self.scan.losses.note_index(Malformed(where, "the checksum of the summary section is wrong"))
-        stream.advance(_U32.size + len(records.MAGIC))
-        self.scan.closed = True
-        if stream.left:
-            # It may be that of a file inside of this one, whose place the search came upon: the scan goes on.
-            self.scan.losses.note(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
-
     def _note_listed(self) -> None:
         stream = self._stream
         if self._listed is not None:
@@ -316,24 +289,13 @@ class _Scanner:
         """Pass over a record. Where none can begin behind it, its length is doubted: the search begins inside it."""
         stream = self._stream
         after = stream.at + total
-        wrong = self._wrong_at(after)
+        wrong = fault_at_hand(stream.window, after, stream.left - total)
         if wrong is None:
             stream.advance(total)
         else:
             if stream.window[stream.at] == records.STATISTICS:
                 self.scan.facts.statistics = None  # bytes of it are missing
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
-
-    def _wrong_at(self, at: int) -> str | None:
-        """Say why no record can begin at a place in the window; None where one can, or where it is not at hand."""
-        stream = self._stream
-        left = stream.left - (at - stream.at)
-        if at + min(LOOK, left) > len(stream.window) or left < RECORD_HEAD.size:
-            return None
-        opcode, length = RECORD_HEAD.unpack_from(stream.window, at)
-        if length > left - RECORD_HEAD.size and opcode != records.CHUNK:
-            return "a record that reaches beyond the end of the file"
-        return fault(stream.window, at, left)
 
     def _pass_loose(self, length: int) -> None:
         """Pass over messages outside of chunks that are in the batch already."""
@@ -347,13 +309,6 @@ class _Scanner:
         if self.scan.facts.listener is not None:
             chunks.tell(self.scan.facts, Place(RECORDS, self._stream.position, length, length), self._loose)
             self._flush_loose()  # what the batch holds next stands somewhere else
-
-    def _tell_definition(self, opcode: int, length: int, where: str) -> None:
-        stream, listener = self._stream, self.scan.facts.listener
-        if listener is not None and opcode in (records.SCHEMA, records.CHANNEL):
-            most = RECORD_HEAD.size + min(length, MAX_TAKE)
-            stream.ahead(most)
-            listener.define(opcode, bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + most]), where)
 
     def _flush_loose(self) -> None:
         self.scan.tally.learn(self.scan.facts.channels)

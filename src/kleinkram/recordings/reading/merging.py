@@ -107,14 +107,17 @@ class Piece(NamedTuple):
     read_again: Callable[[], Block] | None = None
 
 
-def merge(pieces: Iterable[Piece]) -> Iterator[Block]:
+def merge(pieces: Iterable[Piece], tell_late: Callable[[int], None] | None = None) -> Iterator[Block]:
     """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
+
+    A piece may hold messages that are earlier than its `first_ns`: those that come too late to be in order are left
+    out, and `tell_late` is told of how many so far.
 
     Raises:
         TooDisordered: more pieces overlap than even shares of them can be held.
         SourceError: as the pieces raise it.
     """
-    merging = _Merging()
+    merging = _Merging(tell_late)
     waiting = iter(pieces)
     upcoming = next(waiting, None)
     while upcoming is not None:
@@ -124,13 +127,15 @@ def merge(pieces: Iterable[Piece]) -> Iterator[Block]:
 
 
 class _Merging:
-    def __init__(self) -> None:
+    def __init__(self, tell_late: Callable[[int], None] | None) -> None:
+        self._tell_late = tell_late
+        self._late = 0
         self._runs: list[tuple[Piece, Run]] = []
         self._latest_ns = 0
 
     def add(self, piece: Piece) -> None:
         run = piece.open()
-        run.take(self._latest_ns)
+        self._leave_late(run)
         self._runs.append((piece, run))
         if len(self._runs) > 1:
             self._runs.sort(key=lambda pair: pair[0].order)
@@ -156,8 +161,15 @@ class _Merging:
             for run in waiting:
                 if alone or run.ready_ns <= cut:
                     run.refill()
-                    run.take(self._latest_ns)
+                    self._leave_late(run)
             self._check()
+
+    def _leave_late(self, run: Run) -> None:
+        late = run.take(self._latest_ns)
+        if late:
+            self._late += len(late)
+            if self._tell_late is not None:
+                self._tell_late(self._late)
 
     def _bound(self) -> None:
         if sum(run.held_bytes for _, run in self._runs) <= MAX_HELD:

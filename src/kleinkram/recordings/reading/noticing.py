@@ -12,6 +12,7 @@ class Noticed:
     def __init__(self) -> None:
         self._problems: dict[tuple[str, str], Problem] = {}
         self._left_out = 0
+        self._late = 0
 
     def add(self, code: str, where: str, message: str) -> None:
         """Note a problem; the second of a code and a place is the first one met again."""
@@ -22,9 +23,16 @@ class Noticed:
         else:
             self._left_out += 1
 
+    def note_late(self, messages: int) -> None:
+        """Note how many messages one iteration has left out, so far, because they came too late to be in order."""
+        self._late = max(self._late, messages)
+
     def all(self) -> tuple[Problem, ...]:
         """Return the problems in the order in which they were met."""
         found = tuple(self._problems.values())
+        if self._late:
+            message = f"{self._late} messages are left out: earlier than the index says, too late to be put in order"
+            found = (*found, Problem("too-late", "messages", message))
         if not self._left_out:
             return found
         return (*found, Problem("more-problems", "file", f"{self._left_out} more problems are not listed"))

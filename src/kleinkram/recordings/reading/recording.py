@@ -218,7 +218,7 @@ class Recording:
     def _blocks(self, selection: Selection) -> Iterator[Block]:
         """Yield the messages as lists that follow each other in time."""
         pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
-        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns))
+        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._noticed.note_late)
         if any(channel.message_compression for member in self._members for channel in _channels(member)):
             return (self._uncompressed(block) for block in blocks)
         return blocks

@@ -1,0 +1,95 @@
+"""Reading damaged recordings: every message that a scan counts is read, and what is said of the rest is true."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from kleinkram.recordings.reading import NotARecording, Recording
+
+from ..memory_source import MemorySource
+from ..test_damage import MESSAGES, NAMES, PLACES, WHOLE, scanned
+
+
+def read(data: bytes, name: str) -> tuple[int, int, dict[str, str]]:
+    """Return how many messages are read, how many are left out as too late, and the problems by code."""
+    with Recording.open(MemorySource(data, name)) as recording:
+        stamps = [message.log_time_ns for message in recording.raw_messages()]
+        problems = {problem.code: problem.message for problem in recording.problems}
+    assert stamps == sorted(stamps)
+    return len(stamps), int(problems.get("too-late", "0").split()[0]), problems
+
+
+def assert_all_read(data: bytes, name: str) -> None:
+    """By its index a reader may find a chunk whose own head is damaged, which a scan leaves out: it reads more then."""
+    counted = scanned(data, name).message_count
+    found, late, problems = read(data, name)
+    assert counted is not None
+    assert counted <= found + late <= MESSAGES
+    is_rebuilt = problems.keys() & {"no-footer", "no-index", "index-damaged"} and not late
+    if is_rebuilt:
+        assert found == counted
+
+
+def damaged(name: str, how: str, place: float, length: int) -> bytes:
+    data = WHOLE[name].data
+    start = 13 + int(place * (len(data) - 14))
+    end = min(len(data), start + length)
+    if how == "zeros":
+        return data[:start] + bytes(end - start) + data[end:]
+    if how == "sector":
+        return data[:start] + data[end:]
+    if how == "cut":
+        return data[:start]
+    return data[:start] + bytes([data[start] ^ 1 << length % 8]) + data[start + 1 :]
+
+
+@given(NAMES, st.sampled_from(("zeros", "sector", "cut", "bit")), PLACES, st.integers(1, 4096))
+@example("none.mcap", "zeros", 0.7773971822959025, 1684)  # what is left of one chunk is searched among zeros
+@example("none.bag", "bit", 0.5827126780061346, 1065)  # a message's time becomes earlier than its chunk's
+@example("bz2.bag", "bit", 0.5477902743388547, 3386)  # a chunk that only the index can find
+@settings(max_examples=250, deadline=None)
+def test_what_a_scan_counts_is_read(name: str, how: str, place: float, length: int) -> None:
+    assert_all_read(damaged(name, how, place, length), name)
+
+
+@pytest.mark.parametrize("rubbish", [bytes(3000), bytes(range(1, 251)) * 12], ids=["zeros", "rubbish"])
+@pytest.mark.parametrize("name", sorted(WHOLE))
+def test_rubbish_between_chunks_costs_no_message(name: str, rubbish: bytes) -> None:
+    whole = WHOLE[name]
+    middle = whole.chunks[len(whole.chunks) // 2][0]
+    data = whole.data[:middle] + rubbish + whole.data[middle:]
+    assert scanned(data, name).message_count == MESSAGES
+    assert read(data, name)[0] == MESSAGES
+
+
+def test_a_cut_chunk_is_not_said_to_be_left_out() -> None:
+    whole = WHOLE["none.mcap"]
+    start, end, messages = whole.chunks[2]
+    before = sum(count for _, _, count in whole.chunks[:2])
+    with Recording.open(MemorySource(whole.data[: (start + end) // 2], "cut.mcap")) as recording:
+        found = len(list(recording.raw_messages()))
+        said = [problem.message for problem in recording.problems]
+    assert before < found < before + messages
+    assert any("a chunk of" in message and "bytes follow" in message for message in said)
+    assert not any("left out" in message or "checksum" in message for message in said)
+
+
+def test_a_damaged_chunk_of_which_something_is_read_is_not_said_to_be_left_out() -> None:
+    whole = WHOLE["none.mcap"]
+    _, end, _ = whole.chunks[2]
+    data = bytearray(whole.data)
+    data[end - 40 : end - 10] = bytes(30)
+    found, _, problems = read(bytes(data), "holed.mcap")
+    assert found == scanned(bytes(data), "holed.mcap").message_count
+    assert ("left out" in problems["damaged"]) == (found == MESSAGES - whole.chunks[2][2])
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "says"),
+    [("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(64), "ULog of PX4, and reading that format is not supported")],
+)
+def test_a_format_that_is_not_read_is_not_said_to_be_empty(name: str, head: bytes, says: str) -> None:
+    with pytest.raises(NotARecording, match=says):
+        Recording.open(MemorySource(head, name))
