@@ -16,15 +16,8 @@ from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
-from kleinkram.recordings.mcap import chunks, records
-from kleinkram.recordings.mcap.plausible import (
-    LOOK,
-    fault,
-    fault_at_hand,
-    find_record,
-    holds_chunk,
-    stands_outside_chunks,
-)
+from kleinkram.recordings.mcap import chunks, plausible, records
+from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.mcap.sections import Sections
 from kleinkram.recordings.mcap.walking import walk_messages
@@ -81,7 +74,7 @@ class _Scanner:
         self._end_chunk()
         nameless = scan.tally.finish()
         if nameless:
-            self.scan.losses.note(
+            scan.losses.note(
                 Malformed("channels", f"{nameless} messages are on channels that the file does not define")
             )
             scan.losses.messages += nameless
@@ -133,11 +126,9 @@ class _Scanner:
 
     def _check(self, opcode: int, length: int, where: str) -> None:
         stream = self._stream
-        wrong = fault(stream.window, stream.at, stream.left)
-        if wrong:
+        if wrong := fault(stream.window, stream.at, stream.left):
             raise Malformed(where, wrong)
-        left = stream.left - RECORD_HEAD.size
-        if length > left:
+        if length > (left := stream.left - RECORD_HEAD.size):
             name = _NAMES.get(opcode, "a record")
             raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
 
@@ -289,7 +280,7 @@ class _Scanner:
         """Pass over a record. Where none can begin behind it, its length is doubted: the search begins inside it."""
         stream = self._stream
         after = stream.at + total
-        wrong = fault_at_hand(stream.window, after, stream.left - total)
+        wrong = plausible.fault_at_hand(stream.window, after, stream.left - total)
         if wrong is None:
             stream.advance(total)
         else:

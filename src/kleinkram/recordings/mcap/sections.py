@@ -1,4 +1,4 @@
-"""What an MCAP holds under checksums of their own besides chunks: attachments, the data section, the summary section."""
+"""What an MCAP holds under checksums of its own besides chunks: attachments, the data section, the summary section."""
 
 from __future__ import annotations
 
