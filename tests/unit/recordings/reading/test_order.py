@@ -144,4 +144,4 @@ def test_a_chunk_that_begins_before_the_time_in_the_index_leaves_the_order_as_it
     recording = Recording.open(MemorySource(data[:at] + changed + data[at + len(changed) :], "test.bag"))
     found = plain(recording)
     assert [stamp - T0 for _, stamp, _ in found] == [0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 100]
-    assert [problem.code for problem in recording.problems] == ["index-damaged"]
+    assert [problem.code for problem in recording.problems] == ["index-damaged", "too-late"]
