@@ -311,3 +311,14 @@ def test_an_attachment_with_a_wrong_checksum_is_told() -> None:
     assert (summary.content, summary.attachments) == (Content.recovered, 1)
     assert summary.reason is not None
     assert "attachment" in summary.reason
+
+
+@pytest.mark.parametrize("name", [b"size", b"compression"])
+def test_a_cut_bag_whose_chunk_lacks_a_field(name: bytes) -> None:
+    """The last chunk reaches beyond the end of the file, and its header does not say how it is to be read."""
+    data = small_bag()
+    at = data.rindex(name + b"=")
+    hurt = data[:at] + name.upper() + data[at + len(name) : at + 60]
+    summary = summarise(MemorySource(hurt, "test.bag"))
+    assert summary.content is Content.recovered
+    assert 0 < (summary.message_count or 0) < 40

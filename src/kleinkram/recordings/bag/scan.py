@@ -276,9 +276,13 @@ class _Scanner:
     def _read_cut_chunk(self, record: Record, cut: Cut) -> None:
         """Save what there is of a chunk that reaches beyond the end of the file."""
         stream, scan = self._stream, self.scan
+        try:
+            compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+        except Malformed as damage:
+            self._resync(damage)
+            return
         self._end_chunk()
         head_bytes = record.data_start - record.start
-        compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         scan.compression.add(compression)
         before, used = scan.tally.messages, 0
         place = Place(CUT, stream.position, stream.left, uncompressed)
