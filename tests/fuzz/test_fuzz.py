@@ -22,8 +22,8 @@ def run(*arguments: str) -> None:
     assert done.returncode == 0, done.stderr + done.stdout
 
 
-def test_three_thousand_cases() -> None:
-    run("--cases", "3000")
+def test_a_thousand_cases() -> None:
+    run("--cases", "1000")
 
 
 @pytest.mark.soak

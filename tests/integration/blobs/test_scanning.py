@@ -171,6 +171,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
     assert time.monotonic() - began_at < api.app.state.settings.summary_timeout_s, "nobody waits for what is not there"
 
 
+@pytest.mark.slow
 def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> None:
     api = corpus.api
     listed = {each["path"]: each for each in api.all("/files", {"mission_id": corpus.mission_id})}

@@ -45,6 +45,7 @@ def _problems(problems: Any) -> list[tuple[str, str, str]]:
     return [each for each in told if each[0].startswith(_OF_THE_WHOLE)]
 
 
+@pytest.mark.slow
 def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
     told = {each["name"]: each for each in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
     here = {each.path: each for each in inspect_paths([corpus.folder], depth=Depth.scan)}
