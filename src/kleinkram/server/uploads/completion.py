@@ -144,9 +144,9 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     """Make blob and file of each upload, in one transaction with the record and the jobs that follow."""
     if not await missions.lock_visible_mission(db, actor, mission_id):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
-    locked = select(upload.c.id).where(
-        among(upload.c.id, [row.id for row in rows]), upload.c.state == UploadState.completing.value
-    )
+    # Open, too: another hand that came while the store was joining saw too few parts, and took back the mark.
+    unfinished = upload.c.state.in_((UploadState.completing.value, UploadState.open.value))
+    locked = select(upload.c.id).where(among(upload.c.id, [row.id for row in rows]), unfinished)
     still = set((await db.execute(locked.order_by(upload.c.id).with_for_update())).scalars())
     rows = [row for row in rows if row.id in still]
     existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])

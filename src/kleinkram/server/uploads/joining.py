@@ -59,10 +59,12 @@ async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
         count = -(-row.size_bytes // row.part_size_bytes)
         good = {part.number for part in held if part.size_bytes == expected_part_bytes(row, part.number)}
         missing = sorted(set(range(1, count + 1)) - good)
-        if missing:
+        # While another hand joins them, the store may list fewer: then what it made is looked at below.
+        if missing and await storage.find(row.key) is None:
             return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
         try:
-            await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
+            if not missing:
+                await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
         except StoreMissing:
             pass  # completed by another hand; what it made is looked at below
         except StoreRefused as refusal:
