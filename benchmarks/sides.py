@@ -109,7 +109,8 @@ async def _prepare_one(storage: Storage, path: Path, size_bytes: int) -> _RawFil
 async def _join(storage: Storage, files: list[_RawFile]) -> None:
     for each in files:
         if each.multipart_id:
-            await storage.complete_multipart(each.key, each.multipart_id, crc64nvme=each.crc64nvme)
+            count, crc = len(each.parts), each.crc64nvme
+            await storage.complete_multipart(each.key, each.multipart_id, count=count, crc64nvme=crc)
 
 
 async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:

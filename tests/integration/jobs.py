@@ -25,15 +25,20 @@ def run_jobs(api: Api, *, store: str | None = None) -> None:
     """Run every job that waits, and those that they cause; with the store at another address, if one is given."""
     assert worker.JOB_MODULES
     while api.sql(_DUE) != [(0,)]:
-        on_site(api, _drain, store=store)
+        on_site(api, _hurry, store=store)
 
 
-async def _drain(site: Site) -> None:
+async def _hurry(site: Site) -> None:
+    courtesy = Courtesy(site.database, site.settings)
+    courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
+    await drain(site, courtesy)
+
+
+async def drain(site: Site, courtesy: Courtesy) -> None:
+    """Run what waits, as courteous as it is given."""
     connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
         async with app.open_async(), Readers() as readers:
-            courtesy = Courtesy(site.database, site.settings)
-            courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
             await app.run_worker_async(
                 wait=False,
                 concurrency=4,

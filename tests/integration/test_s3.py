@@ -138,7 +138,7 @@ _ASKED: list[_Question] = [
     *_LISTS,
     lambda store: store.begin_multipart("a"),
     lambda store: store.open_multiparts("a"),
-    lambda store: store.complete_multipart("a", "7", crc64nvme=bytes(8)),
+    lambda store: store.complete_multipart("a", "7", count=1, crc64nvme=bytes(8)),
 ]
 
 

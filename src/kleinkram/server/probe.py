@@ -114,7 +114,7 @@ async def _multipart(storage: Storage) -> AsyncIterator[tuple[str, str]]:
 async def _joins(storage: Storage, key: str, multipart_id: str, whole: bytes) -> bool:
     crc = crc64nvme(whole).to_bytes(8, "big")
     try:
-        return await _is_taken(storage.complete_multipart(key, multipart_id, crc64nvme=crc))
+        return await _is_taken(storage.complete_multipart(key, multipart_id, count=1, crc64nvme=crc))
     except StoreMissing:  # joined by an earlier try, whose answer was lost
         return await storage.find(key) is not None
 

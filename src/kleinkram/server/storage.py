@@ -5,8 +5,8 @@ called inside a database transaction. Keys are opaque, and an object is never wr
 """
 
 import base64
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, replace
 from xml.sax.saxutils import escape
 
@@ -171,16 +171,20 @@ class Storage:
         url = self._signers.public.sign("PUT", target.key, query=query, headers=headers, expires_s=expires_s)
         return Signed(url, headers)
 
-    async def complete_multipart(self, key: str, multipart_id: str, *, crc64nvme: bytes) -> None:
-        """Join the parts; the store compares the whole object's CRC-64/NVME where it can.
+    async def complete_multipart(self, key: str, multipart_id: str, *, count: int, crc64nvme: bytes) -> None:
+        """Join the parts, of which there must be `count`; the store compares the whole's CRC-64/NVME where it can.
 
         Raises:
             StoreMissing: the store does not know this upload; it may have been completed before.
-            StoreRefused: parts are missing or the checksum differs; no object came to be and the parts are still there.
+            StoreRefused: parts are missing or the checksum differs. This call made no object; another one may have.
         """
         parts = await self._raw_parts(key, multipart_id)
         if parts is None:
             raise StoreMissing(multipart_id)
+        # A part sent twice may be listed twice; and while another call joins them, a list may be of what is left.
+        listed = len({part["PartNumber"] for part in parts})
+        if listed != count:
+            raise StoreRefused(f"the store lists {listed} of {count} parts")
         headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
             checksum = base64.b64encode(crc64nvme).decode()
@@ -236,16 +240,17 @@ class Storage:
         """Return where a process of this server, without credentials, reads an object by ranges."""
         return self._signers.internal.sign("GET", key, query={}, headers={}, expires_s=expires_s)
 
-    async def read(self, key: str) -> AsyncIterator[bytes]:
-        """Stream an object in pieces of at most 1 MiB.
+    async def read(self, key: str) -> AsyncGenerator[bytes, None]:
+        """Stream an object in pieces of at most 1 MiB; `aclose` gives the connection back before the end.
 
         Raises:
             FileNotFoundError: the store has no such object.
             StoreUnavailable: the store does not answer, or stops in the middle.
         """
         try:
-            async for piece in self._s3.stream(Question("GET", key)):
-                yield piece
+            async with aclosing(self._s3.stream(Question("GET", key))) as pieces:
+                async for piece in pieces:
+                    yield piece
         except S3Error as error:
             if error.code == "NoSuchKey":
                 raise FileNotFoundError(key) from None

@@ -2,13 +2,16 @@
 
 import asyncio
 import time
+import uuid
 from collections.abc import Awaitable, Callable
 
 import pytest
 
 from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.recordings import jobs as recording_jobs
+from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from tests.integration.jobs import on_site
+from tests.integration.jobs import drain, on_site
 from tests.integration.running import Api
 from tests.integration.uploading import begin
 
@@ -78,3 +81,22 @@ def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
         await asyncio.wait_for(waiting, 10)
 
     _with_courtesy(api, stop)
+
+
+def test_grouping_waits_from_when_it_was_asked_for(api: Api, upload_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_jobs, "SUMMARY_PATIENCE_S", _LONG_S)
+    mission_id = uuid.UUID(api.mission(api.project()["id"])["id"])
+
+    async def ask(site: Site) -> None:
+        async with site.database.begin() as db:
+            await regroup(db, mission_id)
+
+    async def work(site: Site) -> None:
+        await asyncio.wait_for(drain(site, Courtesy(site.database, site.settings)), 20)
+
+    on_site(api, ask)
+    api.sql("UPDATE procrastinate_events SET at = at - interval '2 h'")
+    on_site(api, work)
+    current = "SELECT derived_revision = files_revision FROM mission WHERE id = %s"
+    assert api.sql(current, mission_id) == [(True,)]
+    assert upload_id

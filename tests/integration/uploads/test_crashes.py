@@ -59,7 +59,7 @@ def test_a_crash_after_the_store_joined_the_parts_is_finished_too(api: Api, miss
     _mark_only(api, upload, body)
     key, multipart_id = api.sql("SELECT key, multipart_id FROM upload WHERE id = %s", upload["id"])[0]
     crc = bytes.fromhex(crc64(body))
-    on_site(api, lambda site: site.storage.complete_multipart(key, multipart_id, crc64nvme=crc))
+    on_site(api, lambda site: site.storage.complete_multipart(key, multipart_id, count=2, crc64nvme=crc))
     assert complete(api, upload, body)["outcome"] == "completed"
 
 

@@ -1,9 +1,11 @@
 """What each answer of the store means. An upload is gone only when the store itself says that it does not know it."""
 
 import os
+import re
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,6 +48,7 @@ def _api(start_api: StartApi, middleman: Middleman) -> Api:
 def _honest_again(middleman: Middleman) -> Iterator[None]:
     yield
     middleman.rule = lambda _asked: None
+    middleman.edit = lambda _asked, content: content
 
 
 @pytest.fixture(name="mission_id")
@@ -105,6 +108,35 @@ def test_an_upload_that_the_store_does_not_know_is_gone(api: Api, middleman: Mid
     send(api, started, body)
     middleman.rule = lambda asked: Reply(404, "NoSuchUpload") if _is_multipart(asked) else None
     assert complete(api, started, body)["problem"]["code"] == "upload_gone"
+
+
+@pytest.mark.parametrize("listed", [0, 1])
+def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
+    api: Api, middleman: Middleman, mission_id: str, listed: int
+) -> None:
+    """Between the answer to the first and its file, a second asks, and the store lists what is left of the parts."""
+    body = os.urandom(_PART + 100)
+    started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, started, body)
+    seconds: list[Any] = []
+
+    def fewer(asked: Asked, content: bytes) -> bytes:
+        if not _is_multipart(asked) or asked.method != "GET":
+            return content
+        entries = re.findall(rb"<Part>.*?</Part>", content)
+        return content.replace(b"".join(entries), b"".join(entries[:listed]))
+
+    def interrupt(asked: Asked) -> None:
+        if asked.method == "POST" and _is_multipart(asked) and not seconds:
+            middleman.edit = fewer
+            seconds.append(complete(api, started, body))
+            middleman.edit = lambda _asked, content: content
+
+    middleman.rule = interrupt
+    first = complete(api, started, body)
+    assert [second["problem"]["code"] for second in seconds] == ["upload_incomplete"]
+    assert first["outcome"] == "completed"
+    assert complete(api, started, body)["file"]["id"] == first["file"]["id"]
 
 
 def _sent(client: Client, mission_id: str, file: Path) -> TransferResult:

@@ -54,26 +54,32 @@ async def _find_whole(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
 
 
 async def _join_parts(storage: Storage, row: Row[Any]) -> KleinkramError | None:
-    held = await storage.held_parts(row.key, row.multipart_id) if row.multipart_id else []
-    if held is not None:
-        count = -(-row.size_bytes // row.part_size_bytes)
-        good = {part.number for part in held if part.size_bytes == expected_part_bytes(row, part.number)}
-        missing = sorted(set(range(1, count + 1)) - good)
-        # While another hand joins them, the store may list fewer: then what it made is looked at below.
-        if missing and await storage.find(row.key) is None:
-            return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
-        try:
-            if not missing:
-                await storage.complete_multipart(row.key, row.multipart_id, crc64nvme=row.crc64nvme)
-        except StoreMissing:
-            pass  # completed by another hand; what it made is looked at below
-        except StoreRefused as refusal:
-            if refusal.is_digest:
-                return ChecksumMismatch(path=row.path, reason=str(refusal))
-            return UploadIncomplete(path=row.path, reason=str(refusal))
+    refusal = await _ask_to_join(storage, row)
     stored = await storage.find(row.key)
     if stored is None:
-        return UploadGone(upload_id=str(row.id))
+        return refusal
+    # Several may join the same parts at once. What is there counts, not what one of them was told on the way.
     if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
         return ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
     return None
+
+
+async def _ask_to_join(storage: Storage, row: Row[Any]) -> KleinkramError:
+    """Have the parts joined; return what it means if there is no object now."""
+    held = await storage.held_parts(row.key, row.multipart_id) if row.multipart_id else []
+    if held is None:
+        return UploadGone(upload_id=str(row.id))
+    count = -(-row.size_bytes // row.part_size_bytes)
+    good = {part.number for part in held if part.size_bytes == expected_part_bytes(row, part.number)}
+    missing = sorted(set(range(1, count + 1)) - good)
+    if missing:
+        return UploadIncomplete(path=row.path, reason=f"{len(missing)} of {count} parts, the first is {missing[0]}")
+    try:
+        await storage.complete_multipart(row.key, row.multipart_id, count=count, crc64nvme=row.crc64nvme)
+    except StoreMissing:
+        return UploadGone(upload_id=str(row.id))
+    except StoreRefused as error:
+        if error.is_digest:
+            return ChecksumMismatch(path=row.path, reason=str(error))
+        return UploadIncomplete(path=row.path, reason=str(error))
+    return UploadGone(upload_id=str(row.id))
