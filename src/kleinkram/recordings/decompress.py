@@ -12,6 +12,7 @@ import zstandard
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.stream import ForwardStream, Refill
+from kleinkram.recordings.zstd_frames import ZstdFrames
 
 Buffer = bytes | memoryview
 ReadUpTo = Callable[[int], bytes]
@@ -78,8 +79,8 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
         claimed = zstandard.frame_content_size(stored)
         if claimed == uncompressed_bytes:
             return zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
+    except zstandard.ZstdError:
+        pass  # what is wrong with it is said below, if it is not that a frame without content follows
     # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
     pieces = [bytes(stored)]
     stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
@@ -129,9 +130,11 @@ class _Reading:
     def __init__(self, read: ReadUpTo) -> None:
         self._read = read
         self.window = 0
+        self.frames = ZstdFrames()
 
     def read(self, size: int = WINDOW) -> bytes:
         data = self._read(size)
+        self.frames.feed(data)
         if not self.window and data:
             self.window = max(1, zstandard.get_frame_parameters(data).window_size)
             if self.window > MAX_ZSTD_WINDOW:
@@ -146,12 +149,15 @@ def _zstd(read: ReadUpTo) -> Refill:
 
     def refill() -> bytes:
         try:
-            return reader.read(WINDOW)
+            piece = reader.read(WINDOW)
         except zstandard.ZstdError as error:
             # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
             # whether there was enough is tried out, and a MemoryError says that there was not.
             bytearray(reading.window + WINDOW)
             raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
+        if not piece and not reading.frames.at_end_of_frame:
+            raise Malformed("chunk", "its zstd data breaks off")
+        return piece
 
     return refill
 

@@ -34,7 +34,20 @@ def test_whole_data(packing: str) -> None:
     assert decompress(name, memoryview(pack(RAW)), len(RAW)) == RAW
 
 
-@pytest.mark.parametrize("left_over", [bytes(1), bytes(500), b"rubbish"], ids=["a zero", "zeros", "words"])
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+EMPTY_FRAME = zstandard.compress(b"")
+SKIPPABLE = b"\x50\x2a\x4d\x18" + (5).to_bytes(4, "little") + b"hello"
+LEFT_OVER = {
+    "a zero": bytes(1),
+    "zeros": bytes(500),
+    "words": b"rubbish",
+    "a bare magic": ZSTD_MAGIC,
+    "the beginning of an empty frame": EMPTY_FRAME[:-1],
+    "the beginning of a frame to skip": SKIPPABLE[:-1],
+}
+
+
+@pytest.mark.parametrize("left_over", LEFT_OVER.values(), ids=LEFT_OVER)
 @pytest.mark.parametrize("packing", PACKINGS)
 def test_bytes_left_over_are_refused(packing: str, left_over: bytes) -> None:
     name, pack = PACKINGS[packing]
@@ -54,3 +67,11 @@ def test_the_same_once_more_is_refused(packing: str) -> None:
     name, pack = PACKINGS[packing]
     with pytest.raises(Malformed):
         decompress(name, memoryview(2 * pack(RAW)), len(RAW))
+
+
+@pytest.mark.parametrize("following", [EMPTY_FRAME, SKIPPABLE, EMPTY_FRAME + SKIPPABLE])
+@pytest.mark.parametrize("packing", ["zstd", "zstd of unknown size"])
+def test_whole_frames_without_content_may_follow(packing: str, following: bytes) -> None:
+    """zstd data are one or more frames (RFC 8878, section 3.1)."""
+    name, pack = PACKINGS[packing]
+    assert decompress(name, memoryview(pack(RAW) + following), len(RAW)) == RAW

@@ -80,6 +80,17 @@ def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
     assert [*temporary.iterdir()] == []
 
 
+@pytest.mark.parametrize("with_size", [False, True])
+def test_what_follows_the_last_frame(with_size: bool, database: bytes) -> None:
+    packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(database)
+    empty = zstandard.compress(b"")
+    assert scan_bytes(packed + empty, "a.db3.zstd").content is Content.indexed
+    for left_over in (empty[:4], empty[:-1]):
+        summary = scan_bytes(packed + left_over, "a.db3.zstd")
+        assert (summary.content, summary.message_count) == (Content.recovered, 3000)
+        assert "breaks off" in (summary.reason or "")
+
+
 def test_damaged_data_say_where(database: bytes) -> None:
     packed = bytearray(zstandard.ZstdCompressor(write_checksum=True).compress(database))
     packed[len(packed) // 2] ^= 0xFF
