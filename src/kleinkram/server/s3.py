@@ -9,7 +9,7 @@ Source: Amazon S3 API Reference; errors as in its "Error responses".
 import asyncio
 import random
 import ssl
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from xml.etree import ElementTree
@@ -96,7 +96,7 @@ class S3:
                 raise S3Error(response.status, "NoStoresAnswer", "what answers at the store's address is no S3 store")
             return Answer({name.lower(): value for name, value in response.headers.items()}, xml)
 
-    async def stream(self, question: Question) -> AsyncIterator[bytes]:
+    async def stream(self, question: Question) -> AsyncGenerator[bytes, None]:
         """Yield the answer's body in pieces of at most 1 MiB; it ends early only by raising.
 
         Raises:

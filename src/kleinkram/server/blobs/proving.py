@@ -7,6 +7,7 @@ import asyncio
 import hashlib
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import aclosing
 from dataclasses import dataclass
 
 from awscrt.checksums import crc64nvme
@@ -46,14 +47,15 @@ async def read_through(site: Site, key: str, along: Along | None = None) -> Foun
     """
     sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
     started = time.monotonic()
-    async for piece in site.storage.read(key):
-        size_bytes += len(piece)
-        crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
-        if along is not None:
-            await along(piece)
-        ahead_s = size_bytes / site.settings.proving_bytes_per_s - (time.monotonic() - started)
-        if ahead_s > 0:
-            await asyncio.sleep(ahead_s)
+    async with aclosing(site.storage.read(key)) as pieces:
+        async for piece in pieces:
+            size_bytes += len(piece)
+            crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
+            if along is not None:
+                await along(piece)
+            ahead_s = size_bytes / site.settings.proving_bytes_per_s - (time.monotonic() - started)
+            if ahead_s > 0:
+                await asyncio.sleep(ahead_s)
     return Found(size_bytes, sha256.digest(), md5.digest(), crc.to_bytes(8, "big"))
 
 
