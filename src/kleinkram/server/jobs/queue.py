@@ -1,5 +1,6 @@
 """The queue: procrastinate in the same PostgreSQL. Jobs are enqueued inside the transaction that causes them."""
 
+import datetime
 import enum
 import uuid
 from collections.abc import Sequence
@@ -60,6 +61,15 @@ async def enqueue(db: Connection, job: Job, *, ids: Sequence[str], urgency: Urge
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
     """Put the job for one id, if it waits, before those that nobody waits for."""
     await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
+
+
+_ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id")
+
+
+async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime | None:
+    """Return since when a job waits, from before its first try; None where nothing is known of it."""
+    found: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
+    return found
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))

@@ -6,7 +6,7 @@ from procrastinate import JobContext
 
 from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
-from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import deriving
 from kleinkram.server.recordings.understanding import Understanding
@@ -17,7 +17,9 @@ async def group_recordings(context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
     site = site_of(context)
     mission_id = uuid.UUID(ref)
-    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S)
+    async with site.database.begin() as db:
+        since = await enqueued_at(db, context.job.id)
+    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=since)
     async with site.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         rows = await deriving.live_files(db, mission_id)
