@@ -48,7 +48,7 @@ async def drain(site: Site, courtesy: Courtesy) -> None:
                     "site": site,
                     "readers": readers,
                     "courtesy": courtesy,
-                    "understanding": Understanding(),
+                    "understanding": Understanding(readers),
                 },
             )
 

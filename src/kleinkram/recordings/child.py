@@ -15,12 +15,14 @@ import resource
 import sys
 import threading
 import time
+from dataclasses import asdict
 from typing import Any
 
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.forward import from_pipe, from_source
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.model import Depth, RecordingSummary
+from kleinkram.recordings.rosbag2.metadata import parse_rosbag2_metadata
 from kleinkram.recordings.serialise import to_dict
 from kleinkram.recordings.sources import FileSource, Source
 from kleinkram.recordings.summary import scan, summarise
@@ -40,6 +42,9 @@ def main() -> int:
 
 def _answer(request: dict[str, Any]) -> dict[str, object]:
     try:
+        if "metadata" in request:
+            said = parse_rosbag2_metadata(request["metadata"])
+            return {"metadata": said and asdict(said)}
         return {"summary": to_dict(_read(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}

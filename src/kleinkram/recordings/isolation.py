@@ -1,8 +1,9 @@
-"""Summaries of untrusted files, made in a child process that is bounded in memory and time and holds no credential.
+"""Untrusted files, read in a child process that is bounded in memory and time and holds no credential.
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
-writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer`; then the
-child takes the next request. Its end, rather than a line, is an answer too.
+writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer` (after a
+`metadata_request_bytes(...)` to `read_metadata_answer`); then the child takes the next request. Its end, rather than a
+line, is an answer too.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from typing import Any
 
 from kleinkram.recordings.errors import FailureKind, SummaryFailed
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
 from kleinkram.recordings.model import Depth, RecordingSummary
-from kleinkram.recordings.serialise import from_dict
+from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata
+from kleinkram.recordings.serialise import from_dict, metadata_from_dict
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.child")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -81,12 +84,40 @@ def stream_request_bytes(
     return json.dumps({**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}).encode()
 
 
+def metadata_request_bytes(
+    text: str, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
+) -> bytes:
+    """Return the line by which the child reads the text of a metadata.yaml, without its newline."""
+    return json.dumps({"metadata": text, "memory_bytes": memory_bytes, "cpu_s": timeout_s}).encode()
+
+
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
     """Return the summary from what the child left behind.
 
     Raises:
         SummaryFailed: there is none; says why.
     """
+    answer = _answer(stdout, stderr, returncode)
+    try:
+        return from_dict(answer["summary"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise _not_understood() from error
+
+
+def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
+    """Return what `parse_rosbag2_metadata` returned, from what the child left behind.
+
+    Raises:
+        SummaryFailed: it was not read; says why.
+    """
+    answer = _answer(stdout, stderr, returncode)
+    try:
+        return None if answer["metadata"] is None else metadata_from_dict(answer["metadata"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise _not_understood() from error
+
+
+def _answer(stdout: bytes, stderr: bytes, returncode: int) -> dict[str, Any]:
     if returncode == -signal.SIGXCPU:
         raise _failure(FailureKind.time, "", signal.SIGXCPU)
     if returncode < 0:
@@ -96,12 +127,12 @@ def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSumma
         lines = stderr.decode("utf-8", "replace").strip().splitlines()
         raise _failure(kind, lines[-1] if lines else f"exit code {returncode}")
     try:
-        answer = json.loads(stdout)
+        answer: dict[str, Any] = json.loads(stdout)
         if "failed" in answer:
             raise _failure(FailureKind(answer["failed"]), answer.get("message", ""))
-        return from_dict(answer["summary"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise _failure(FailureKind.crash, "its answer cannot be understood") from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise _not_understood() from error
+    return answer
 
 
 def timed_out() -> SummaryFailed:
@@ -138,3 +169,7 @@ def summarise_isolated(
 def _failure(kind: FailureKind, detail: str, ended_by: int | None = None) -> SummaryFailed:
     sentence = _SENTENCES[kind]
     return SummaryFailed(f"{sentence}: {detail}" if detail else sentence, kind=kind, signal=ended_by)
+
+
+def _not_understood() -> SummaryFailed:
+    return _failure(FailureKind.crash, "its answer cannot be understood")

@@ -1,4 +1,4 @@
-"""Summaries as plain JSON values and back. The shape is stable: fields are added, never renamed."""
+"""Summaries and metadata.yaml as plain JSON values and back. The shape is stable: fields are added, never renamed."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from kleinkram.recordings.model import (
     RecordingSummary,
     TopicSummary,
 )
+from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, StatedFile, StatedTopic
 
 
 def to_dict(summary: RecordingSummary) -> dict[str, Any]:
@@ -45,3 +46,16 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
     values["lost"] = Lost(**values["lost"]) if values["lost"] is not None else None
     values["facts"] = tuple(Fact(**fact) for fact in values["facts"])
     return RecordingSummary(**values)
+
+
+def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
+    """Return what `dataclasses.asdict` was given, after a way through JSON.
+
+    Raises:
+        KeyError, TypeError: it is none.
+    """
+    values = dict(plain)
+    values["files"] = tuple(values["files"])
+    values["topics"] = tuple(StatedTopic(**topic) for topic in values["topics"])
+    values["file_entries"] = tuple(StatedFile(**entry) for entry in values["file_entries"])
+    return Rosbag2Metadata(**values)

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 from sqlalchemy import event
 
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
-from kleinkram.server.recordings import deriving
+from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
 from kleinkram.server.site import Site
 from tests.integration.corpus import Corpus
@@ -105,3 +106,32 @@ def test_a_metadata_that_is_not_looked_at_is_told(api: Api, mission_id: str) -> 
     (recording,) = api.all(f"/missions/{mission_id}/recordings")
     assert [problem["code"] for problem in recording["problems"]] == ["metadata-unread"]
     assert (recording["kind"], recording["content"]) == ("rosbag2", "broken")
+
+
+_METADATA = b"""rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  relative_file_paths: [run_0.mcap]
+"""
+
+
+def _refuse(*_: object, **__: object) -> None:
+    raise RuntimeError("YAML of a stranger, parsed beside the credentials")
+
+
+def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    upload_all(api, mission_id, {"run/metadata.yaml": _METADATA, "run/run_1.mcap": b"\x89MCAP0\r\n"})
+    monkeypatch.setattr(YAML, "load", _refuse)
+    run_jobs(api)
+    (recording,) = api.all(f"/missions/{mission_id}/recordings")
+    assert (recording["missing"], recording["surplus"]) == (["run_0.mcap"], ["run_1.mcap"])
+
+
+def test_a_metadata_that_takes_too_long_to_read_is_told(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(understanding, "_LIMIT_S", 0.001)
+    upload_all(api, mission_id, {"run/metadata.yaml": _METADATA + b"# slow", "run/run_0.mcap": b"\x89MCAP0\r\n"})
+    run_jobs(api)
+    (recording,) = api.all(f"/missions/{mission_id}/recordings")
+    assert [problem["code"] for problem in recording["problems"]] == ["metadata-unread"]

@@ -22,7 +22,10 @@ from kleinkram.recordings import (
     StreamRequest,
     SummaryFailed,
     isolation,
+    metadata_request_bytes,
+    parse_rosbag2_metadata,
     read_answer,
+    read_metadata_answer,
     stream_request_bytes,
     summarise,
     summarise_isolated,
@@ -62,6 +65,23 @@ def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
     assert first.content is Content.opaque
     with from_file(truth.path) as forward:
         assert second == scan(forward)
+
+
+def test_metadata_of_a_folder() -> None:
+    """Good ones, something else, and no YAML at all."""
+    texts = (
+        "rosbag2_bagfile_information:\n  version: 5\n  files: [{path: a.db3, message_count: 2}]\n"
+        "  topics_with_message_count: [{message_count: 2, topic_metadata: {name: /a, type: T}}]\n",
+        "other: 1",
+        "{",
+    )
+    lines = b"".join(metadata_request_bytes(text) + b"\n" for text in texts)
+    done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
+    answers = [read_metadata_answer(line, b"", 0) for line in done.stdout.splitlines()]
+    assert answers == [parse_rosbag2_metadata(text) for text in texts]
+    assert answers[2] is None
+    with pytest.raises(SummaryFailed, match="cannot be understood"):
+        read_metadata_answer(b'{"metadata": {"files": []}}', b"", 0)
 
 
 def test_bytes_that_break_off(tmp_path: Path) -> None:

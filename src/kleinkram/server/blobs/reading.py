@@ -8,13 +8,25 @@ import asyncio
 import contextlib
 import os
 import uuid
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from typing_extensions import Self
 
-from kleinkram.recordings import CHILD_COMMAND, CHILD_ENVIRONMENT, RecordingSummary, read_answer, timed_out
+from kleinkram.recordings import (
+    CHILD_COMMAND,
+    CHILD_ENVIRONMENT,
+    RecordingSummary,
+    Rosbag2Metadata,
+    read_answer,
+    read_metadata_answer,
+    timed_out,
+)
 
+T = TypeVar("T")
+# Of what a child left behind: its line, what it said on stderr, its exit code.
+_Understand = Callable[[bytes, bytes, int], T]
 _FILES_EACH = 100
 _IDLE_S = 1.0
 # Where a database may be copied to be read; everything else of ours stays out of it.
@@ -121,13 +133,24 @@ class Readers:
         Raises:
             SummaryFailed: the child ran out of memory or time, crashed, or could not read the bytes.
         """
+        return await self._ask(request, read_answer, owner, timeout_s)
+
+    async def metadata(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> Rosbag2Metadata | None:
+        """Have one metadata.yaml of `owner` read; None if it is damaged.
+
+        Raises:
+            SummaryFailed: the child ran out of memory or time, or crashed.
+        """
+        return await self._ask(request, read_metadata_answer, owner, timeout_s)
+
+    async def _ask(self, request: bytes, read: _Understand[T], owner: uuid.UUID, timeout_s: float) -> T:
         reader = await self._waiting_for(owner) or await _start(owner)
         try:
             line = await asyncio.wait_for(reader.ask(request), timeout_s)
             if not line:
                 stderr, code = await asyncio.wait_for(reader.last_words(), timeout_s)
-                return read_answer(b"", stderr, code)
-            summary = read_answer(line, b"", 0)
+                return read(b"", stderr, code)
+            answer = read(line, b"", 0)
         except asyncio.TimeoutError:
             await reader.end()
             raise timed_out() from None
@@ -135,7 +158,7 @@ class Readers:
             await reader.end()
             raise
         await self._keep(reader)
-        return summary
+        return answer
 
     @contextlib.asynccontextmanager
     async def reading_along(

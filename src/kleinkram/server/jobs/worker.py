@@ -56,7 +56,7 @@ async def _run(app: App, settings: Settings) -> None:
             "site": Site(database, storage, settings),
             "readers": readers,
             "courtesy": courtesy,
-            "understanding": Understanding(),
+            "understanding": Understanding(readers),
         }
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [

@@ -63,7 +63,7 @@ class Derived:
 async def live_files(db: Connection, mission_id: uuid.UUID) -> Sequence[Row[Any]]:
     """Return path and content facts of a mission's files."""
     known = (blob.c.key, blob.c.size_bytes, blob.c.start_ns, blob.c.end_ns, blob.c.message_count, blob.c.format)
-    state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth)
+    state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth, blob.c.uploaded_by_id)
     statement = (
         select(file.c.id, file.c.path, file.c.blob_id, *known, *state)
         .join(blob, blob.c.id == file.c.blob_id)
@@ -141,7 +141,8 @@ def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated,
     if path in stated:
         return combine_folder(stated[path], names, summaries)
     summary = combine(summaries, names)
-    message = "it was not compared with the files: it is larger than 256 KiB, or the store has lost it"
+    why = "it is larger than 256 KiB or takes too long to read, or the store has lost it"
+    message = f"it was not compared with the files: {why}"
     return replace(summary, problems=(Problem("metadata-unread", "metadata.yaml", message), *summary.problems))
 
 

@@ -23,7 +23,7 @@ async def group_recordings(context: JobContext, ref: str) -> None:
     async with site.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         rows = await deriving.live_files(db, mission_id)
-    stated = await given(context, "understanding", Understanding).of(site.storage, rows)
+    stated = await given(context, "understanding", Understanding).of(site, rows)
     async with site.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):
             return
