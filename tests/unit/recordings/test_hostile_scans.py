@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import tracemalloc
 import zlib
+from io import BytesIO
 
 import pytest
 
@@ -14,10 +15,11 @@ from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.decompress import decompress
 from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
-from .test_hostile import small_mcap
+from .test_hostile import record, small_mcap
 
 REACH = 128 * 1024
 HEADS = 2_000
@@ -76,17 +78,74 @@ def test_faults_that_are_remembered_keep_no_bytes() -> None:
     assert peak < 48 * 2**20  # one window, and little more: kept, the bytes would come to 100 MB
 
 
-def test_the_footer_of_a_file_inside_of_a_damaged_attachment_ends_nothing() -> None:
-    """The search behind the damage comes upon the inner file's records; the outer file goes on behind its footer."""
-    outer, inner = small_mcap(), small_mcap()
-    first = len(records.MAGIC) + records.RECORD_HEAD.size
-    (header_bytes,) = struct.unpack_from("<Q", outer, len(records.MAGIC) + 1)
-    front = outer[: first + header_bytes]
-    damaged = struct.pack("<BQ", records.ATTACHMENT, 2**60) + inner
-    summary = scan(from_source(MemorySource(front + damaged + outer[len(front) :], "a.mcap")))
+def front_and_rest(whole: bytes) -> tuple[bytes, bytes]:
+    """Return magic and header of an MCAP, and what follows."""
+    at = len(records.MAGIC) + records.RECORD_HEAD.size
+    (header_bytes,) = struct.unpack_from("<Q", whole, len(records.MAGIC) + 1)
+    return whole[: at + header_bytes], whole[at + header_bytes :]
+
+
+def attachment_of(inner: bytes) -> bytes:
+    return struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", len(inner)) + inner + bytes(4)
+
+
+HEADER_OF_INNER = len(records.MAGIC)
+INNER = {
+    "whole": small_mcap(),
+    "a file in a file": front_and_rest(small_mcap())[0]
+    + record(records.ATTACHMENT, attachment_of(small_mcap()))
+    + front_and_rest(small_mcap())[1],
+    "its magic is overwritten": bytes(HEADER_OF_INNER) + small_mcap()[HEADER_OF_INNER:],
+}
+
+
+@pytest.mark.parametrize("opcode", [records.ATTACHMENT, records.MESSAGE, records.METADATA])
+@pytest.mark.parametrize("length", [2**60, 2**39, 1_200, 700])
+@pytest.mark.parametrize("inner", INNER)
+def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, length: int, opcode: int) -> None:
+    """The length around the inner file is damaged, so that the search comes upon its records."""
+    front, rest = front_and_rest(small_mcap())
+    damaged = struct.pack("<BQ", opcode, length) + attachment_of(INNER[inner])
+    summary = scan(from_source(MemorySource(front + damaged + rest, "a.mcap")))
     assert summary.content is Content.recovered
-    assert summary.message_count == 40 + 40
-    assert f"{len(outer) - len(front)} bytes follow its end" in summary.problems[-1].message
+    assert summary.message_count == 40 + (opcode == records.MESSAGE and length < len(damaged))
+    assert summary.lost is not None
+    assert summary.lost.bytes >= len(INNER[inner]) - 1_200
+    assert any("another MCAP begins inside" in problem.message for problem in summary.problems)
+
+
+def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> None:
+    """Where it ends cannot be known: too little is counted rather than what is not this file's."""
+    front, rest = front_and_rest(small_mcap())
+    cut = small_mcap()[:-60]
+    damaged = struct.pack("<BQ", records.ATTACHMENT, 2**60) + attachment_of(cut)
+    summary = scan(from_source(MemorySource(front + damaged + rest, "a.mcap")))
+    assert (summary.content, summary.message_count) == (Content.broken, 0)
+
+
+def test_a_file_behind_this_one_is_not_counted() -> None:
+    first, second = small_mcap(), small_mcap()
+    summary = scan(from_source(MemorySource(first + second, "a.mcap")))
+    assert (summary.content, summary.message_count) == (Content.recovered, 40)
+    assert summary.lost is not None
+    assert summary.lost.bytes == len(second)
+    assert f"{len(second)} bytes follow its end" in summary.problems[0].message
+
+
+def test_a_damaged_chunk_that_holds_a_file_is_left_out_whole() -> None:
+    """A chunk of the inner file is no proof that the outer one's length reaches too far."""
+    out = BytesIO()
+    writer = McapWriter(out, compression=Compression.none, chunk_bytes=100)
+    channel = writer.add_channel("/files", 0, "raw")
+    for number in range(3):
+        writer.add_message(channel, 10 + number, small_mcap(), publish_time_ns=0)
+    writer.finish()
+    data = bytearray(out.getvalue())
+    data[data.index(records.MAGIC, 8) + 12] ^= 1
+    summary = scan(from_source(MemorySource(bytes(data), "a.mcap")))
+    assert (summary.message_count, [topic.name for topic in summary.topics]) == (2, ["/files"])
+    assert summary.lost is not None
+    assert (summary.lost.chunks, summary.lost.messages) == (1, 1)
 
 
 def test_a_topic_may_have_any_name() -> None:

@@ -26,7 +26,7 @@ _MESSAGE_BYTES = 22
 _FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
-_CANDIDATE = re.compile(rb"[\x02-\x0f](?=.{5}\0{3})", re.DOTALL)
+_CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
 _CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
 

@@ -17,15 +17,15 @@ from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, plausible, records
-from kleinkram.recordings.mcap.plausible import LOOK, fault, find_record, holds_chunk, stands_outside_chunks
+from kleinkram.recordings.mcap.plausible import LOOK, fault, holds_chunk, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
+from kleinkram.recordings.mcap.searching import find_inner, pass_damage
 from kleinkram.recordings.mcap.sections import Sections
 from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import ROW, Batch, Tally
 
 _FLUSH_BYTES = 8 * 2**20
-_SEARCH_BYTES = 4 * 2**20
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
@@ -140,6 +140,8 @@ class _Scanner:
         """
         stream, total = self._stream, RECORD_HEAD.size + length
         body_at = stream.at + RECORD_HEAD.size
+        if opcode == records.HEADER and stream.position != len(records.MAGIC):
+            raise Malformed(where, "the header of a file in the middle of it")
         if opcode == records.MESSAGE_INDEX:
             self._note_listed()
         else:
@@ -219,10 +221,7 @@ class _Scanner:
             if after < len(window) and (
                 not self._is_followed(total)
                 # Bytes of it are missing, so that its length reaches over the next one.
-                or (
-                    not scan.losses.is_patience_spent(start)
-                    and holds_chunk(window, stream.at + 1, after, stream.left - 1)
-                )
+                or (not scan.losses.is_patience_spent(start) and self._reaches_over_chunk(after))
             ):
                 scan.losses.vain_bytes += total
                 self._resync(damage)
@@ -231,6 +230,12 @@ class _Scanner:
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total
         self._listed = ListedChunk(start, found, damaged=True)
+
+    def _reaches_over_chunk(self, after: int) -> bool:
+        """Say whether another chunk of this file begins before a place in the window."""
+        stream = self._stream
+        inner = find_inner(stream.window, stream.at, after, stream.left)
+        return holds_chunk(stream.window, stream.at + 1, after if inner is None else inner, stream.left - 1)
 
     def _is_followed(self, total: int) -> bool:
         """Say whether a record that stands outside of chunks follows the next `total` bytes, which are at hand."""
@@ -313,14 +318,7 @@ class _Scanner:
         self.scan.losses.note(damage)
         scan.losses.messages_are_known = False
         start = stream.position + believed
-        stream.advance(1)
-        while stream.left:
-            at_hand = stream.ahead(_SEARCH_BYTES)
-            width = at_hand if at_hand == stream.left else at_hand - LOOK
-            found = find_record(stream.window, stream.at, stream.at + width, stream.left, scan.facts.channels)
-            stream.advance(width if found is None else found - stream.at)
-            if found is not None:
-                break
+        pass_damage(stream, scan.facts.channels, scan.losses)
         scan.losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, used: int = 0) -> None:
