@@ -155,8 +155,17 @@ def _rows_of(decoder: Decoder | Undecodable, fields: Sequence[str] | None, notic
 def _timed(log_ns: list[int], publish_ns: list[int], names: list[str], arrays: list[Any]) -> Any:
     import pyarrow as pa
 
-    times = [pa.array([t if t < 2**63 else None for t in column], pa.int64()) for column in (log_ns, publish_ns)]
+    times = [_times(column) for column in (log_ns, publish_ns)]
     return pa.RecordBatch.from_arrays([*times, *arrays], names=[*_TIMES, *names])
+
+
+def _times(stamps: list[int]) -> Any:
+    import numpy as np
+
+    from kleinkram.recordings.decoding.gather import arrow_of
+
+    times = np.fromiter(stamps, np.uint64, len(stamps)).view(np.int64)
+    return arrow_of(times, times >= 0)
 
 
 def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
@@ -178,6 +187,8 @@ class _TypedRows:
         import numpy as np
         import pyarrow as pa
 
+        from kleinkram.recordings.decoding.gather import arrow_of
+
         groups: list[tuple[Any, list[Any]]] = []
         single: list[int] = []
         for places in _by_size(data):
@@ -189,7 +200,7 @@ class _TypedRows:
             groups.append((np.array(single, np.int64), [_column(column, values) for column in self._columns]))
         if len(groups) == 1:
             return _timed(log_ns, publish_ns, [c.name for c in self._columns], groups[0][1])
-        order = pa.array(np.argsort(np.concatenate([places for places, _ in groups]), kind="stable"))
+        order = arrow_of(np.argsort(np.concatenate([places for places, _ in groups]), kind="stable"))
         joined = [pa.concat_arrays([arrays[n] for _, arrays in groups]).take(order) for n in range(len(self._columns))]
         return _timed(log_ns, publish_ns, [c.name for c in self._columns], joined)
 
