@@ -32,6 +32,10 @@ class Listening:
         """Certificate and key, where both are given."""
         return (self.tls_cert, self.tls_key) if self.tls_cert and self.tls_key else None
 
+    def asked_for(self) -> dict[str, str]:
+        """The ports that were given, by name, with the option that gave each."""
+        return {name: _FLAGS[name] for name, port in (("api", self.port), ("store", self.s3_port)) if port}
+
     @property
     def needs_door(self) -> bool:
         """Whether clients reach the store by another port than this machine's own parts do."""

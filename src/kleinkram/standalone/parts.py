@@ -28,12 +28,13 @@ class Part:
 
 @dataclass
 class RunningPart:
-    """A part with its process, if it has one now."""
+    """A part with its process, if it has one now. `looked_at`: at how many failures its ports were looked at last."""
 
     part: Part
     child: "subprocess.Popen[bytes]"
     started: float = field(default_factory=time.monotonic)
     failures: int = 0
+    looked_at: int = 0
     start_again_at: float | None = None
 
     @property

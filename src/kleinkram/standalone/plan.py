@@ -12,7 +12,7 @@ from kleinkram.standalone.binaries import locate_postgres, locate_weed
 from kleinkram.standalone.child import Command
 from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
 from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords
-from kleinkram.standalone.store import BUCKET, StoreFolder
+from kleinkram.standalone.store import BUCKET, PORT_NAMES, StoreFolder
 
 SERVER = (sys.executable, "-m", "kleinkram.server")
 DOOR = (sys.executable, "-m", "kleinkram.standalone.door")
@@ -73,6 +73,13 @@ class Plan:
             log=self.data_dir.log("door"),
             directory=self.data_dir.root,
         )
+
+    def ports_of(self, part: str) -> list[str]:
+        """The names of the ports that a part listens on."""
+        if part == "store":
+            own = [name for name in PORT_NAMES if name != "s3" and (name != "s3_tls" or self.listening.tls)]
+            return [*own, "s3" if self.listening.needs_door else "store"]
+        return {"door": ["store"], "worker": []}.get(part, [part])
 
     def api_arguments(self) -> list[str]:
         """Where the API listens, and that it waits for a word before it looks for database and store."""

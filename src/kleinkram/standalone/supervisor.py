@@ -34,6 +34,7 @@ _START_TIMEOUT_S = 120.0
 _STORE_PATIENCE_S = 1.5
 _STORE_STARTS = 5
 _LOGS_EVERY_S = 5.0
+_FAILURES = 2
 # A job that is cut short is done again: nobody should wait long for the worker to finish one.
 _STOP_TIMEOUTS_S = {"worker": 5.0}
 _STOPPING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
@@ -58,9 +59,13 @@ def run(options: UpOptions) -> None:
         end_leftovers(data_dir)
         supervisor = Supervisor(make_plan(options))
         try:
-            _start(supervisor, options)
-            print(_greeting(supervisor, options), flush=True)  # noqa: T201  (the command's one line of output)
-            supervisor.watch()
+            while True:
+                _start(supervisor, options)
+                print(_greeting(supervisor, options), flush=True)  # noqa: T201  (the command's one line of output)
+                lost = supervisor.watch()
+                supervisor.stop()
+                _say_lost(lost)
+                supervisor.plan = make_plan(options)
         except StopAsked:
             pass
         finally:
@@ -77,7 +82,7 @@ def _start(supervisor: "Supervisor", options: UpOptions) -> None:
         taken = taken_ports(plan.listening, plan.ports)
         if not taken:
             raise
-        _say(f"another program took {' and '.join(taken)} meanwhile: starting again on other ports")
+        _say_lost(taken)
         supervisor.plan = make_plan(options)
         supervisor.start()
 
@@ -121,16 +126,20 @@ class Supervisor:
         note_version(plan.data_dir)
         self._tell()
 
-    def watch(self) -> None:
+    def watch(self) -> list[str]:
         """Start again what ends, and keep the logs within bounds, until the end is asked for.
 
+        Returns where other programs took ports that Kleinkram had chosen itself, while a part was down: which ports.
+
         Raises:
-            StopAsked: always, in the end.
+            StopAsked: somebody asked for the end.
         """
         logs_due = 0.0
         while True:
             for running in self.parts.values():
                 self._look_after(running)
+                if lost := self._lost_ports(running):
+                    return lost
             if time.monotonic() >= logs_due:
                 logs_due = time.monotonic() + _LOGS_EVERY_S
                 for running in self.parts.values():
@@ -230,6 +239,24 @@ class Supervisor:
             _say(f"{name} was started again")
             self._tell()
 
+    def _lost_ports(self, running: RunningPart) -> list[str]:
+        """Say which chosen ports another program took from a part that does not come back; name those asked for."""
+        # A part that ended once is just started again: what is left of it may hold its port for a moment.
+        if running.start_again_at is None or running.failures == running.looked_at or running.failures < _FAILURES:
+            return []
+        running.looked_at = running.failures
+        plan, part = self.plan, running.part.name
+        own = {name: plan.ports[name] for name in plan.ports_of(part)}
+        asked = {name: flag for name, flag in plan.listening.asked_for().items() if name in own}
+        held = taken_ports(plan.listening, {name: own[name] for name in asked})
+        if not held:
+            return taken_ports(plan.listening, own)
+        _say(
+            f"{part} cannot have {' and '.join(held)}, which {' and '.join(asked.values())} asked for: end that program"
+            f" and {part} comes back by itself, or start klein up with another port"
+        )
+        return []
+
     def _until_next_start(self) -> float:
         due = [running.start_again_at for running in self.parts.values() if running.start_again_at is not None]
         return max(0.0, min([time.monotonic() + _LOGS_EVERY_S, *due]) - time.monotonic())
@@ -289,6 +316,10 @@ def _pause(seconds: float) -> None:
 
 def _say(sentence: str) -> None:
     print(f"klein: {sentence}", file=sys.stderr, flush=True)  # noqa: T201  (the supervisor's own voice)
+
+
+def _say_lost(taken: list[str]) -> None:
+    _say(f"another program took {' and '.join(taken)} meanwhile: starting again on other ports")
 
 
 def _warn_of_listening(plan: Plan) -> None:

@@ -19,6 +19,7 @@ from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import NotRunning
 from kleinkram.standalone.health import is_ready
 from kleinkram.standalone.leftovers import stop_instance
+from kleinkram.standalone.ports import is_free
 from kleinkram.standalone.procs import start_ticks
 from tests.integration.standalone.conftest import Instance, wait_until
 
@@ -190,6 +191,43 @@ def test_a_port_that_is_taken_after_it_was_chosen_is_chosen_again(instance: Inst
         process.terminate()
         assert f"another program took port {chosen} (" in process.communicate(timeout=60)[1]
     assert instance.processes == []
+
+
+def _port_taken_while_down(instance: Instance, process: "subprocess.Popen[str]", part: str, port: int) -> socket.socket:
+    """Kill a part, and take its port before the supervisor has seen it."""
+    process.send_signal(signal.SIGSTOP)
+    os.kill(instance.told["parts"][part], signal.SIGKILL)
+    wait_until(lambda: is_free(port))
+    taken = socket.create_server(("127.0.0.1", port))
+    process.send_signal(signal.SIGCONT)
+    return taken
+
+
+@pytest.mark.parametrize("part", ["api", "postgres"])
+def test_a_chosen_port_that_is_taken_while_its_part_is_down_is_chosen_again(instance: Instance, part: str) -> None:
+    process = instance.up(listening=Listening())
+    before = instance.told["ports"][part]
+    with _port_taken_while_down(instance, process, part, before):
+        assert process.stdout is not None
+        assert "answers at" in process.stdout.readline()
+        assert instance.told["ports"][part] != before
+        assert _answers(instance)
+        process.terminate()
+        assert f"another program took port {before} (" in process.communicate(timeout=60)[1]
+    assert instance.processes == []
+
+
+def test_a_port_that_was_asked_for_and_is_taken_while_its_part_is_down_is_named(shared_instance: Instance) -> None:
+    process = shared_instance.up()
+    port = shared_instance.told["ports"]["api"]
+    with _port_taken_while_down(shared_instance, process, "api", port):
+        assert process.stderr is not None
+        said = next(line for line in process.stderr if "cannot have" in line)
+        assert f"api cannot have port {port} (" in said
+        assert "which --port asked for: end that program" in said
+    wait_until(lambda: _answers(shared_instance))
+    assert shared_instance.told["ports"]["api"] == port
+    stop_instance(DataDir(shared_instance.data_dir))
 
 
 _WAITING = """
