@@ -40,6 +40,7 @@ class Refused(local.ClientError):
 EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.NotAuthenticated: ExitCode.not_allowed,
     remote.Forbidden: ExitCode.not_allowed,
+    remote.ScopeMissing: ExitCode.not_allowed,
     remote.NotFound: ExitCode.not_found,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,

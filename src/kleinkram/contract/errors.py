@@ -16,6 +16,7 @@ class ErrorCode(str, enum.Enum):
 
     not_authenticated = "not_authenticated"
     forbidden = "forbidden"
+    scope_missing = "scope_missing"
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
@@ -84,12 +85,23 @@ class NotAuthenticated(KleinkramError):
 
 @dataclass(eq=False)
 class Forbidden(KleinkramError):
-    """You may see this {noun}, but not {operation} it. Ask one of its owners."""
+    """You may not {operation} here: on this {noun} that takes {needs}. Ask one of its owners."""
 
     code = ErrorCode.forbidden
     status = 403
     noun: str
     operation: str
+    needs: str
+
+
+@dataclass(eq=False)
+class ScopeMissing(KleinkramError):
+    """What you came with does not allow to {operation}: that takes {scopes}. Use another token, or sign in."""
+
+    code = ErrorCode.scope_missing
+    status = 403
+    operation: str
+    scopes: str
 
 
 @dataclass(eq=False)

@@ -7,7 +7,8 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
-from kleinkram.server.access.actor import Actor, find_actor
+from kleinkram.server.access.actor import STRANGER, Actor, find_actor, find_signed_in
+from kleinkram.server.access.rights import admit
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
@@ -45,14 +46,49 @@ async def _actor(
     database: CurrentDatabase,
     credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
 ) -> Actor:
-    if credentials is None:
+    who = await _who(request, database, credentials)
+    operation: str = request.scope["route"].operation_id
+    address = request.client.host if request.client else None
+    actor = who.asking(operation, request_id=request.state.request_id, address=address)
+    request.state.actor = actor
+    admit(actor, operation)
+    return actor
+
+
+async def _who(request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None) -> Actor:
+    cookie = request.cookies.get(session_cookie(request.app.state.settings))
+    if "authorization" not in request.headers and cookie is None:
+        return STRANGER
+    if credentials is None and cookie is None:
         raise NotAuthenticated(reason="the request has no bearer token")
     async with database.begin() as db:
-        actor = await find_actor(db, credentials.credentials, request_id=request.state.request_id)
-    if actor is None:
-        raise NotAuthenticated(reason="the token is not valid here")
-    request.state.actor = actor
-    return actor
+        if credentials is not None:
+            found = await find_actor(db, credentials.credentials)
+        else:
+            found = await find_signed_in(db, str(cookie))
+    if found is None:
+        raise NotAuthenticated(reason="the token is not valid here" if credentials else "the session has ended")
+    if credentials is None:
+        refuse_foreign_page(request)
+    return found
+
+
+def session_cookie(settings: Settings) -> str:
+    """Return the name of the cookie that holds a browser's session; with TLS, one that no other host can set."""
+    return "__Host-kleinkram" if settings.public_url.startswith("https://") else "kleinkram"
+
+
+def refuse_foreign_page(request: Request) -> None:
+    """See that what a browser sends along with its cookie comes from a page of ours, where it may change anything.
+
+    Raises:
+        NotAuthenticated: it comes from another site's page, or does not say where it comes from.
+    """
+    if request.method in {"GET", "HEAD", "OPTIONS"}:
+        return
+    settings: Settings = request.app.state.settings
+    if request.headers.get("origin") != settings.public_origin:
+        raise NotAuthenticated(reason="the request did not come from a page of this server")
 
 
 CurrentActor = Annotated[Actor, Depends(_actor)]

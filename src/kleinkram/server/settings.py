@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 from pydantic import Field, PostgresDsn, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -69,6 +70,12 @@ class Settings(BaseSettings):
         int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
     ] = 1024**3
     summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+
+    @property
+    def public_origin(self) -> str:
+        """The origin of this server's pages, as browsers name it."""
+        parts = urlsplit(self.public_url)
+        return f"{parts.scheme}://{parts.netloc}"
 
     @property
     def store_public_url(self) -> str:

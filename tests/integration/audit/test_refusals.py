@@ -39,13 +39,13 @@ def test_a_denial_is_noted_with_who_was_denied_though_nothing_else_is_kept(start
     api = start_api()
 
     async def forbidden(db: Transaction, actor: CurrentActor) -> None:
-        raise Forbidden(noun="project", operation="delete")
+        raise Forbidden(noun="project", operation="delete", needs="DELETE")
 
-    api.app.add_api_route("/api/v1/forbidden", forbidden)
+    api.app.add_api_route("/api/v1/forbidden", forbidden, operation_id="get_service")
     api.get("/forbidden").refused(403, "forbidden")
     (event,) = _noted(api, "access.denied")
     assert (event["actor"]["name"], event["noun_name"]) == ("owner", "GET /api/v1/forbidden")
-    assert event["after"] == {"noun": "project", "operation": "delete", "address": "127.0.0.1"}
+    assert event["after"] == {"noun": "project", "operation": "delete", "needs": "DELETE", "address": "127.0.0.1"}
 
 
 def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(

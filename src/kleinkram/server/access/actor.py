@@ -1,42 +1,190 @@
-"""Who is asking: found from the bearer token, once a request."""
+"""Who is asking: found from the credential, once a request. What they may do with it: `operations` and `visible`."""
 
+import datetime
+import enum
 import hashlib
 import uuid
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, Row, Select, exists, func, or_, select, update
 
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import person, token
+from kleinkram.server.tables import membership, person, session, share, share_file, token, token_limit
+
+ALL_SCOPES = frozenset(Scope)
+_CONTAINED = {
+    Scope.write: frozenset({Scope.write, Scope.read, Scope.upload}),
+    Scope.admin: ALL_SCOPES,
+}
+# How exactly the last use of a token or a session is known.
+_USE_NOTED_EVERY_S = 60
+
+
+class ActorKind(str, enum.Enum):
+    """How somebody comes: as a person, as a runner of actions, by a link, or without any credential."""
+
+    person = "person"
+    runner = "runner"
+    share = "share"
+    stranger = "stranger"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The projects and missions that a credential reaches; with `file_ids`, only these files of the missions."""
+
+    project_ids: frozenset[uuid.UUID] = frozenset()
+    mission_ids: frozenset[uuid.UUID] = frozenset()
+    file_ids: frozenset[uuid.UUID] | None = None
 
 
 @dataclass(frozen=True)
 class Actor:
-    """A person at work, by one of their tokens, in one request."""
+    """Somebody at work in one request. `is_admin` is the power of an admin, which not every token of one carries."""
 
-    person_id: uuid.UUID
+    person_id: uuid.UUID | None
     name: str
     token_id: uuid.UUID | None
     request_id: str | None
+    kind: ActorKind = ActorKind.person
+    session_id: uuid.UUID | None = None
+    share_id: uuid.UUID | None = None
+    address: str | None = None
+    is_admin: bool = False
+    scopes: frozenset[Scope] = ALL_SCOPES
+    limits: Limits | None = None
+    # The row of the table of operations under which this request came in.
+    operation: str | None = None
 
     @property
-    def ref(self) -> PersonRef:
+    def ref(self) -> PersonRef | None:
         """The person as named beside what they do."""
-        return PersonRef(id=self.person_id, name=self.name)
+        return None if self.person_id is None else PersonRef(id=self.person_id, name=self.name)
+
+    def asking(self, operation: str, *, request_id: str | None, address: str | None) -> "Actor":
+        """Return the same somebody, in this request, from this address."""
+        return replace(self, operation=operation, request_id=request_id, address=address)
+
+    def without_power(self) -> "Actor":
+        """Return the same somebody with no more than their own rights."""
+        return replace(self, is_admin=False)
 
 
-def token_hash(secret: str) -> bytes:
-    """Return what is kept of a token: the SHA-256 of its UTF-8."""
+STRANGER = Actor(None, "anybody", None, None, ActorKind.stranger, scopes=frozenset({Scope.read}))
+
+
+def secret_hash(secret: str) -> bytes:
+    """Return what is kept of a secret: the SHA-256 of its UTF-8."""
     return hashlib.sha256(secret.encode()).digest()
 
 
-async def find_actor(db: Connection, secret: str, *, request_id: str | None) -> Actor | None:
-    """Return who carries a token, or None when it is unknown or revoked."""
-    statement = (
-        select(person.c.id, person.c.name, token.c.id.label("token_id"))
-        .join_from(token, person)
-        .where(token.c.secret_sha256 == token_hash(secret), token.c.revoked_at.is_(None))
+def contained(scopes: Collection[Scope]) -> frozenset[Scope]:
+    """Return scopes with those that they contain."""
+    return frozenset(part for scope in scopes for part in _CONTAINED.get(scope, {scope}))
+
+
+def unexpired(expires_at: ColumnElement[Any]) -> ColumnElement[bool]:
+    """Say of a time of expiry that it has not come: effective the second it passes, by the database's clock."""
+    return or_(expires_at.is_(None), expires_at > func.now())
+
+
+async def find_actor(db: Connection, secret: str) -> Actor | None:
+    """Return who carries a token or a link's secret, or None where it is unknown, expired or revoked, or they left."""
+    hashed = secret_hash(secret)
+    row = (await db.execute(_by_token(hashed))).one_or_none()
+    if row is not None:
+        if row.use_is_unnoted:
+            await db.execute(update(token).where(token.c.id == row.token_id).values(last_used_at=func.now()))
+        return _carrier(row)
+    row = (await db.execute(_by_share(hashed))).one_or_none()
+    return None if row is None else _guest(row)
+
+
+async def find_signed_in(db: Connection, secret: str) -> Actor | None:
+    """Return whose browser's session it is, or None where it is unknown, expired or revoked, or they left."""
+    known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
+    stmt = _people(session.c.id.label("session_id"), _is_unnoted(session.c.last_used_at)).join_from(session, person)
+    row = (await db.execute(stmt.where(known, session.c.expires_at > func.now()))).one_or_none()
+    if row is None:
+        return None
+    if row.use_is_unnoted:
+        await db.execute(update(session).where(session.c.id == row.session_id).values(last_used_at=func.now()))
+    return Actor(row.id, row.name, None, None, session_id=row.session_id, is_admin=row.is_admin)
+
+
+async def find_person(db: Connection, person_id: uuid.UUID) -> Actor | None:
+    """Return somebody as they would act now by themselves, for what a job does in their name; None where they left."""
+    row = (await db.execute(_people().where(person.c.id == person_id))).one_or_none()
+    return None if row is None else Actor(row.id, row.name, None, None, is_admin=row.is_admin)
+
+
+def _people(*columns: ColumnElement[Any]) -> Select[Any]:
+    is_admin = exists().where(
+        membership.c.group_id == ADMINS_ID, membership.c.person_id == person.c.id, unexpired(membership.c.expires_at)
     )
-    row = (await db.execute(statement)).one_or_none()
-    return Actor(row.id, row.name, row.token_id, request_id) if row else None
+    named = select(person.c.id, person.c.name, is_admin.label("is_admin"), *columns)
+    return named.where(person.c.deactivated_at.is_(None))
+
+
+def _is_unnoted(last_used_at: ColumnElement[Any]) -> ColumnElement[bool]:
+    late = last_used_at < func.now() - datetime.timedelta(seconds=_USE_NOTED_EVERY_S)
+    return func.coalesce(late, True).label("use_is_unnoted")
+
+
+def _by_token(hashed: bytes) -> Select[Any]:
+    def limits(column: ColumnElement[Any]) -> ColumnElement[Any]:
+        of_token = select(column).where(token_limit.c.token_id == token.c.id, column.is_not(None))
+        return func.array(of_token.correlate(token).scalar_subquery())
+
+    stmt = _people(
+        token.c.id.label("token_id"),
+        _is_unnoted(token.c.last_used_at),
+        token.c.kind,
+        token.c.scopes,
+        token.c.is_limited,
+        limits(token_limit.c.project_id).label("project_ids"),
+        limits(token_limit.c.mission_id).label("mission_ids"),
+    )
+    usable = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at)
+    return stmt.join_from(token, person).where(token.c.secret_sha256 == hashed, usable)
+
+
+def _carrier(row: Row[Any]) -> Actor:
+    scopes = contained([Scope(scope) for scope in row.scopes])
+    limits = Limits(frozenset(row.project_ids), frozenset(row.mission_ids)) if row.is_limited else None
+    return Actor(
+        row.id,
+        row.name,
+        row.token_id,
+        None,
+        ActorKind.runner if row.kind == TokenKind.runner.value else ActorKind.person,
+        is_admin=row.is_admin and Scope.admin in scopes,
+        scopes=scopes,
+        limits=limits,
+    )
+
+
+def _by_share(hashed: bytes) -> Select[Any]:
+    files = select(share_file.c.file_id).where(share_file.c.share_id == share.c.id).correlate(share)
+    chosen = func.array(files.scalar_subquery()).label("file_ids")
+    usable = share.c.revoked_at.is_(None) & (share.c.expires_at > func.now())
+    return select(share, chosen).where(share.c.secret_sha256 == hashed, usable)
+
+
+def _guest(row: Row[Any]) -> Actor:
+    limits = Limits(mission_ids=frozenset({row.mission_id}), file_ids=None if row.is_whole else frozenset(row.file_ids))
+    return Actor(
+        None,
+        f"link {row.name}",
+        None,
+        None,
+        ActorKind.share,
+        share_id=row.id,
+        scopes=frozenset({Scope.read}),
+        limits=limits,
+    )

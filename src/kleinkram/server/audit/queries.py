@@ -3,22 +3,31 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import Row, Select, select
+from sqlalchemy import Row, Select, select, union
 
 from kleinkram.contract.audit import AuditRead
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import trashed_projects, visible_projects
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import audit_event, person
+from kleinkram.server.tables import audit_event, person, project
 
 # Latest first.
 AUDIT_ORDER = Order([audit_event.c.id], descending=True)
 
 
 def visible_events(actor: Actor) -> Select[Any]:
-    """Return the events that `actor` may see: the one owner sees all."""
+    """Return the events that `actor` may see: those of projects they own; admins see all."""
     name = person.c.name.label("actor_name")
-    return select(audit_event, name).outerjoin(person, person.c.id == audit_event.c.actor_id)
+    stmt = select(audit_event, name).outerjoin(person, person.c.id == audit_event.c.actor_id)
+    if actor.is_admin and actor.limits is None:
+        return stmt
+    owned = union(
+        visible_projects(actor, Right.delete).with_only_columns(project.c.id),
+        trashed_projects(actor).with_only_columns(project.c.id),
+    )
+    return stmt.where(audit_event.c.project_id.in_(owned))
 
 
 def events_about(

@@ -43,11 +43,16 @@ async def record_all(
     """Add many events to the record, as part of the caller's transaction."""
     if not events:
         return
-    who = {
-        "actor_id": actor.person_id if actor else None,
-        "token_id": actor.token_id if actor else None,
-        "request_id": actor.request_id if actor else request_id,
-    }
+    who: dict[str, object] = {"request_id": request_id}
+    if actor is not None:
+        who = {
+            "actor_id": actor.person_id,
+            "token_id": actor.token_id,
+            "session_id": actor.session_id,
+            "share_id": actor.share_id,
+            "address": actor.address,
+            "request_id": actor.request_id,
+        }
     await db.execute(insert(audit_event), [{**vars(event), **who} for event in events])
 
 

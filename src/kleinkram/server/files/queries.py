@@ -1,5 +1,6 @@
 """What is asked of files. Functions return selects; they touch no connection."""
 
+import datetime
 import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -11,6 +12,7 @@ from kleinkram.contract.files import FileFact, FileFilter, FileLoss, FileProblem
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.db import among
@@ -113,6 +115,12 @@ def _hex(digest: bytes | None) -> str | None:
 def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the visible files among some ids."""
     return file_rows(visible_files(actor).where(among(file.c.id, file_ids)))
+
+
+def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+    """Return a file's id where `actor` brought it within the last hour, and may still put files there."""
+    brought = (file.c.uploaded_by_id == actor.person_id, file.c.created_at > func.now() - datetime.timedelta(hours=1))
+    return visible_files(actor, Right.create).with_only_columns(file.c.id).where(file.c.id == file_id, *brought)
 
 
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:

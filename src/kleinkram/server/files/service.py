@@ -22,6 +22,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
 from kleinkram.server.db import Connection
@@ -87,11 +88,15 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
 
     Raises:
         NotFound: the file, or the mission to move it to, is not there.
+        Forbidden: the change takes more than they hold here, or, for a move, there.
         NameTaken: there is a file of that path.
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
     old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
     mission_id = changes.mission_id or old.mission_id
+    await require_mission(db, actor, "update_file" if mission_id == old.mission_id else "move_file", old.mission_id)
+    if mission_id != old.mission_id:
+        await require_mission(db, actor, "begin_uploads", mission_id)
     path = changes.path or old.path
     values: dict[str, Any] = {}
     if changes.labels is not None and (labels := list(dict.fromkeys(changes.labels))) != old.labels:
@@ -111,10 +116,15 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
 async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_run: bool) -> Deleted:
     """Move a file to the trash; its path is free at once. As a dry run, only say what would go.
 
+    What one brought oneself, one may delete within the hour.
+
     Raises:
         NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not delete it.
     """
     row = await (_row if dry_run else _locked_row)(db, actor, file_id)
+    if not (await db.execute(queries.own_fresh_file(actor, file_id))).first():
+        await require_mission(db, actor, "delete_file", row.mission_id)
     if not dry_run:
         await regroup(db, row.mission_id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
@@ -217,7 +227,6 @@ async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: u
 
 
 async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id: uuid.UUID, path: str) -> None:
-    await missions.get_mission_row(db, actor, mission_id)
     await check_path_free(db, mission_id, path, except_id=old.id)
     for each in sorted({old.mission_id, mission_id}):
         await regroup(db, each)

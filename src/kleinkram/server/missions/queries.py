@@ -100,11 +100,6 @@ def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     return mission_rows(visible_missions(actor).where(mission.c.id == mission_id))
 
 
-def visible_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return a mission's id, if `actor` may see it."""
-    return visible_missions(actor).with_only_columns(mission.c.id).where(mission.c.id == mission_id)
-
-
 def hold_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the select that keeps the projects of some missions from being deleted, restored or dropped."""
     holding = select(mission.c.project_id).where(mission.c.id.in_(mission_ids))

@@ -26,6 +26,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import queries
@@ -53,10 +54,15 @@ async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> s
     return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
 
 
-async def lock_visible_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> bool:
-    """Do as `lock_mission`, and say whether `actor` may see it: then they may until this transaction ends."""
+async def lock_mission_to_fill(db: Connection, actor: Actor, mission_id: uuid.UUID) -> None:
+    """Do as `lock_mission`, and see that `actor` may put files into it: it stays until this transaction ends.
+
+    Raises:
+        NotFound: no such mission for `actor`.
+        Forbidden: they may see it, but put nothing into it.
+    """
     await lock_mission(db, mission_id)
-    return (await db.execute(queries.visible_mission(actor, mission_id))).first() is not None
+    await require_mission(db, actor, "begin_uploads", mission_id)
 
 
 async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Row[Any]:
@@ -101,12 +107,14 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 
     Raises:
         NotFound: the project is not there, or not for this actor.
+        Forbidden: they may see it, but make nothing in it.
         YamlInvalid: the metadata cannot be read.
         MetadataInvalid: it does not satisfy the project; names every missing, wrong or unknown field.
         NameTaken: the project has a mission of that name.
     """
     document = await asyncio.to_thread(read_metadata, wanted.metadata_yaml)
     _, fields = await _project(db, actor, project_id)
+    await require_project(db, actor, "create_mission", project_id)
     mission_id = uuid.uuid4()
     statement = insert(mission).values(
         id=mission_id,
@@ -135,6 +143,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
 
     Raises:
         NotFound: the mission, or the project to move it to, is not there.
+        Forbidden: the change takes more than they hold here, or, for a move, there.
         YamlInvalid: the metadata cannot be read.
         MetadataInvalid: new metadata does not satisfy the project.
         NameTaken: the project has a mission of that name.
@@ -146,6 +155,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         await _project(db, actor, changes.project_id or row.project_id)
     await lock_mission(db, mission_id)
     old = await get_mission(db, actor, mission_id)
+    await _see_that_it_may_change(db, actor, old, changes)
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old
@@ -162,10 +172,12 @@ async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
 
     Raises:
         NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not delete it.
     """
     if not dry_run:
         await lock_mission(db, mission_id)
     row = await get_mission_row(db, actor, mission_id)
+    await require_mission(db, actor, "delete_mission", mission_id)
     files, size_bytes = (await db.execute(queries.contents(actor, mission_id))).one()
     if not dry_run:
         await db.execute(queries.change_mission(mission_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
@@ -203,6 +215,14 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
     text = write_template(fields, project=name, last=(last.name, last.metadata) if last else None)
     return text, queries.to_mission_ref(last) if last else None
+
+
+async def _see_that_it_may_change(db: Connection, actor: Actor, old: MissionRead, changes: MissionUpdate) -> None:
+    if changes.project_id is not None and changes.project_id != old.project.id:
+        await require_mission(db, actor, "move_mission", old.id)
+        await require_project(db, actor, "create_mission", changes.project_id)
+    else:
+        await require_mission(db, actor, "update_mission", old.id)
 
 
 _AUDITED = ("name", "project", "metadata", "notes", "completed_at")

@@ -15,6 +15,8 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.groups import own_group, own_project
+from kleinkram.server.access.rights import require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import service as missions
@@ -68,6 +70,7 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate)
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
     after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
+    await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
     await record(db, actor, Event("project.create", "project", project_id, wanted.name, project_id, after=after))
     return await get_project(db, actor, project_id)
 
@@ -77,12 +80,14 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 
     Raises:
         NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not change it.
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
     """
     fields = None if changes.fields_yaml is None else await asyncio.to_thread(read_fields, changes.fields_yaml)
     await db.execute(queries.lock_project(actor, project_id))
+    await require_project(db, actor, "update_project", project_id)
     old = await get_project(db, actor, project_id)
     before, after = _changes(old, changes, fields)
     if not after:
@@ -106,9 +111,11 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 
     Raises:
         NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not delete it.
     """
     if not dry_run:
         await db.execute(queries.lock_project(actor, project_id))
+    await require_project(db, actor, "delete_project", project_id)
     seen = await get_project(db, actor, project_id)
     if not dry_run:
         await db.execute(queries.change_project(project_id, deleted_at=func.now(), deleted_by_id=actor.person_id))

@@ -1,26 +1,36 @@
 """The data model: one module a noun. Constraints and indexes stand here; what the database can hold, it holds."""
 
+from kleinkram.server.tables.access_group import access_grant, access_group, membership
 from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blob import blob, topic
 from kleinkram.server.tables.file import file, recording
 from kleinkram.server.tables.mission import mission
-from kleinkram.server.tables.person import person, token
+from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
+from kleinkram.server.tables.share import share, share_file
 from kleinkram.server.tables.store_probe import store_probe
 from kleinkram.server.tables.upload import upload
 
 __all__ = [
+    "access_grant",
+    "access_group",
     "audit_event",
     "blob",
     "file",
+    "membership",
     "metadata",
     "mission",
     "person",
+    "person_email",
     "project",
     "recording",
+    "session",
+    "share",
+    "share_file",
     "store_probe",
     "token",
+    "token_limit",
     "topic",
     "upload",
 ]

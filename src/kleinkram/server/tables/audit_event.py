@@ -1,6 +1,6 @@
 """The record. The serving database role may add to it and read it, nothing else."""
 
-from sqlalchemy import BigInteger, Column, DateTime, ForeignKey, Identity, Index, Table, Text, Uuid, func
+from sqlalchemy import BigInteger, Boolean, Column, DateTime, ForeignKey, Identity, Index, Table, Text, Uuid, func, text
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.server.tables.base import metadata
@@ -12,15 +12,24 @@ audit_event = Table(
     Column("at", DateTime(timezone=True), nullable=False, server_default=func.now()),
     Column("actor_id", Uuid, ForeignKey("person.id")),
     Column("token_id", Uuid, ForeignKey("token.id")),
+    Column("session_id", Uuid, ForeignKey("session.id")),
+    # The link by which somebody without an account came; kept when the link is gone.
+    Column("share_id", Uuid),
+    Column("address", Text),
+    # Whether it took the power of an admin: without it, it would have been refused.
+    Column("as_admin", Boolean, nullable=False, server_default=text("false")),
     Column("operation", Text, nullable=False),
     Column("noun", Text, nullable=False),
     # No foreign keys: the record outlives what it speaks of.
     Column("noun_id", Uuid),
     Column("noun_name", Text, nullable=False),
     Column("project_id", Uuid),
+    Column("mission_id", Uuid),
     Column("before", JSONB, nullable=False, server_default="{}"),
     Column("after", JSONB, nullable=False, server_default="{}"),
     Column("request_id", Text),
     Index("ix_audit_event_noun_id", "noun_id", "id"),
     Index("ix_audit_event_project_id", "project_id", "id"),
+    Index("ix_audit_event_mission_id", "mission_id", "id"),
+    Index("ix_audit_event_actor_id", "actor_id", "id"),
 )

@@ -34,6 +34,6 @@ def one_of(column: str, values: type[enum.Enum]) -> CheckConstraint:
     return CheckConstraint(f"{column} IN ({listing})", name=column)
 
 
-def sorted_text(name: str) -> Column[str]:
+def sorted_text(name: str, *, primary_key: bool = False) -> Column[str]:
     """Return a text column that sorts by code point, the same on every machine."""
-    return Column(name, Text(collation="C"), nullable=False)
+    return Column(name, Text(collation="C"), nullable=False, primary_key=primary_key)

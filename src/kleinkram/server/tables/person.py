@@ -1,8 +1,25 @@
-"""People and the tokens they carry. Sign-in and rights come later; today there is one local owner."""
+"""People, their addresses, the sessions of their browsers and the tokens they carry.
 
-from sqlalchemy import CheckConstraint, Column, DateTime, ForeignKey, LargeBinary, Table, Text, Uuid
+Of a secret only its SHA-256 is kept: it has 256 random bits, so nothing slower is needed.
+"""
 
-from kleinkram.server.tables.base import created_at_column, id_column, metadata
+from sqlalchemy import (
+    ARRAY,
+    Boolean,
+    CheckConstraint,
+    Column,
+    DateTime,
+    ForeignKey,
+    Index,
+    LargeBinary,
+    Table,
+    Text,
+    Uuid,
+    text,
+)
+
+from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 person = Table(
     "person",
@@ -10,17 +27,72 @@ person = Table(
     id_column(),
     Column("name", Text, nullable=False),
     created_at_column(),
+    # Whoever left: no session, token or sign-in is theirs any more; their name stays in the record.
+    Column("deactivated_at", DateTime(timezone=True)),
 )
 
-# Only the SHA-256 of a token is kept: it has 256 random bits, so nothing slower is needed.
+# `verified_by` says whose word it is that the address is theirs: an issuer's URL, or the admin's who invited them.
+person_email = Table(
+    "person_email",
+    metadata,
+    sorted_text("email_key", primary_key=True),
+    Column("email", Text, nullable=False),
+    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
+    Column("verified_at", DateTime(timezone=True)),
+    Column("verified_by", Text),
+    CheckConstraint("(verified_at IS NULL) = (verified_by IS NULL)", name="verified"),
+)
+
+session = Table(
+    "session",
+    metadata,
+    id_column(),
+    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
+    Column("secret_sha256", LargeBinary, nullable=False, unique=True),
+    # How they signed in: `password`, `link`, or the issuer's URL.
+    Column("way", Text, nullable=False),
+    Column("address", Text),
+    Column("user_agent", Text),
+    created_at_column(),
+    Column("last_used_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
+    Column("expires_at", DateTime(timezone=True), nullable=False),
+    Column("revoked_at", DateTime(timezone=True)),
+    CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+)
+
 token = Table(
     "token",
     metadata,
     id_column(),
     Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
+    Column("kind", Text, nullable=False, server_default=TokenKind.personal.value),
     Column("name", Text, nullable=False),
+    # The beginning of the secret, by which people recognise it.
+    Column("prefix", Text, nullable=False, server_default=""),
     Column("secret_sha256", LargeBinary, nullable=False, unique=True),
+    Column("scopes", ARRAY(Text), nullable=False),
+    # Whether `token_limit` says all there is for it: without, it reaches whatever its person reaches.
+    Column("is_limited", Boolean, nullable=False, server_default=text("false")),
     created_at_column(),
+    Column("expires_at", DateTime(timezone=True)),
+    Column("last_used_at", DateTime(timezone=True)),
     Column("revoked_at", DateTime(timezone=True)),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+    CheckConstraint(
+        f"scopes <@ ARRAY[{', '.join(repr(scope.value) for scope in Scope)}]::text[]",
+        name="scopes",
+    ),
+    one_of("kind", TokenKind),
+)
+
+# Rows go with what they name, and the token stays limited.
+token_limit = Table(
+    "token_limit",
+    metadata,
+    id_column(),
+    Column("token_id", Uuid, ForeignKey("token.id", ondelete="CASCADE"), nullable=False),
+    Column("project_id", Uuid, ForeignKey("project.id", ondelete="CASCADE")),
+    Column("mission_id", Uuid, ForeignKey("mission.id", ondelete="CASCADE")),
+    CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
+    Index("ix_token_limit_token_id", "token_id"),
 )

@@ -14,7 +14,9 @@ from sqlalchemy import Row, bindparam, func, insert, select, update
 from kleinkram.contract.errors import (
     ChecksumMismatch,
     FileExists,
+    Forbidden,
     KleinkramError,
+    NotFound,
     PathConflict,
     ProblemDocument,
     UploadGone,
@@ -30,7 +32,7 @@ from kleinkram.contract.uploads import (
     UploadOutcome,
     UploadState,
 )
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.db import Connection, among
@@ -38,7 +40,7 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from kleinkram.server.tables import blob, file, person, upload
+from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.joining import Failures, join_at_store
 from kleinkram.server.uploads.rules import UNREADABLE, first_come
@@ -142,7 +144,9 @@ def _unfit(row: Row[Any] | None, finish: UploadFinish) -> KleinkramError | None:
 
 async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows: Sequence[Row[Any]]) -> Failures:
     """Make blob and file of each upload, in one transaction with the record and the jobs that follow."""
-    if not await missions.lock_visible_mission(db, actor, mission_id):
+    try:
+        await missions.lock_mission_to_fill(db, actor, mission_id)
+    except (NotFound, Forbidden):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
     # Open, too: another hand that came while the store was joining saw too few parts, and took back the mark.
     unfinished = upload.c.state.in_((UploadState.completing.value, UploadState.open.value))
@@ -274,8 +278,7 @@ async def finish_stale(site: Site, *, older_than_s: float) -> int:
     """Finish what a crash left between mark and finish; return how many uploads were looked at."""
     before = func.now() - datetime.timedelta(seconds=older_than_s)
     statement = (
-        select(upload, person.c.name.label("person_name"))
-        .join(person, person.c.id == upload.c.person_id)
+        select(upload)
         .where(upload.c.state == UploadState.completing.value, upload.c.completing_since < before)
         .order_by(upload.c.completing_since)
         .limit(500)
@@ -283,9 +286,20 @@ async def finish_stale(site: Site, *, older_than_s: float) -> int:
     async with site.database.begin() as db:
         rows = (await db.execute(statement)).all()
     for row in rows:
-        actor = Actor(row.person_id, row.person_name, None, None)
-        try:
-            await settle(site, actor, [row])
-        except KleinkramError as error:  # one that cannot be finished yet does not hold up the others
-            _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
+        await _settle_for(site, row)
     return len(rows)
+
+
+async def _settle_for(site: Site, row: Row[Any]) -> None:
+    """Take an upload to its end in the name of whoever began it, with the rights that they have now."""
+    async with site.database.begin() as db:
+        actor = await find_person(db, row.person_id)
+        if actor is None:
+            left = {"state": UploadState.aborted.value}
+            await db.execute(update(upload).where(upload.c.id == row.id).values(**left))
+    if actor is None:
+        return
+    try:
+        await settle(site, actor, [row])
+    except KleinkramError as error:  # one that cannot be finished yet does not hold up the others
+        _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})

@@ -4,9 +4,10 @@ import uuid
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, func, select
+from sqlalchemy import ColumnElement, Row, Select, false, func, select
 
 from kleinkram.contract.files import BlobState
+from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
@@ -19,8 +20,8 @@ ACTIVE = (UploadState.open.value, UploadState.completing.value)
 
 
 def own_uploads(actor: Actor) -> Select[Any]:
-    """Return the uploads that `actor` began, in missions they may still see."""
-    missions = visible_missions(actor).with_only_columns(mission.c.id)
+    """Return the uploads that `actor` began, in missions that they may still fill."""
+    missions = visible_missions(actor, Right.create).with_only_columns(mission.c.id)
     return select(upload).where(upload.c.person_id == actor.person_id, upload.c.mission_id.in_(missions))
 
 
@@ -75,6 +76,8 @@ def _trusted_by(actor: Actor) -> ColumnElement[bool]:
 
 
 def _read_by(actor: Actor) -> ColumnElement[bool]:
+    if Scope.read not in actor.scopes:
+        return false()
     return blob.c.id.in_(visible_files(actor).with_only_columns(file.c.blob_id))
 
 

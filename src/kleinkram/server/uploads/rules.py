@@ -44,7 +44,7 @@ class Decision:
 class Known:
     """What is known of the names and contents that a request touches, and of who asks."""
 
-    person_id: uuid.UUID
+    person_id: uuid.UUID | None
     files: Mapping[str, Row[Any]]
     uploads: Mapping[str, Row[Any]]
     twin_sizes: frozenset[int]
@@ -89,7 +89,7 @@ def _beside(wanted: UploadFile, existing: Row[Any]) -> Decision | None:
     return Decision(wanted, Way.present, ref=existing.id)
 
 
-def _during(wanted: UploadFile, active: Row[Any], person_id: uuid.UUID) -> Decision:
+def _during(wanted: UploadFile, active: Row[Any], person_id: uuid.UUID | None) -> Decision:
     same = active.person_id == person_id and active.path == wanted.path and active.size_bytes == wanted.size_bytes
     if same and active.id == wanted.upload_id and active.state == UploadState.open.value:
         return Decision(wanted, Way.resume, ref=active.id)

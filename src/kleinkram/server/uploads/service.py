@@ -62,10 +62,10 @@ async def begin_uploads(
 
     Raises:
         NotFound: no such mission for `actor`.
+        Forbidden: they may see it, but put nothing into it.
     """
     async with site.database.begin() as db:
-        if not await missions.lock_visible_mission(db, actor, mission_id):
-            raise NotFound(noun="mission", ref=str(mission_id))
+        await missions.lock_mission_to_fill(db, actor, mission_id)
         decisions = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
         decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
         decisions = await _link_twins(db, actor, mission_id=mission_id, decisions=decisions)

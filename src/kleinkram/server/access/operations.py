@@ -1,0 +1,88 @@
+"""What each operation of the API takes: the one table that every route is held to, and that tests are made from.
+
+A route without a row here does not start. `scopes` names those of which a token must carry one; browsers carry all.
+"""
+
+import enum
+from dataclasses import dataclass
+
+from kleinkram.contract.rights import Right, Scope
+
+
+class On(str, enum.Enum):
+    """What an operation's right must be held on."""
+
+    anything = "anything"  # whatever one may see: lists show just that
+    server = "server"  # for admins
+    project = "project"
+    mission = "mission"
+    nothing = "nothing"  # what is one's own, or anybody's
+
+
+@dataclass(frozen=True)
+class Need:
+    """What an operation takes. `guests`: also without an account, on what is public or shared by a link."""
+
+    on: On
+    right: Right | None
+    scopes: frozenset[Scope]
+    guests: bool = False
+    runners: bool = False
+
+
+_NAMES = frozenset({Scope.read, Scope.upload})
+_READ = frozenset({Scope.read})
+_UPLOAD = frozenset({Scope.upload})
+_WRITE = frozenset({Scope.write})
+_ADMIN = frozenset({Scope.admin})
+_ANY = frozenset(Scope)
+
+
+def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Need:
+    return Need(On.anything, Right.read, scopes, guests)
+
+
+OPERATIONS: dict[str, Need] = {
+    # Projects
+    "list_projects": _seen(_NAMES),
+    "create_project": Need(On.nothing, None, _WRITE),
+    "get_project": Need(On.project, Right.read, _NAMES, guests=True),
+    "update_project": Need(On.project, Right.write, _WRITE),
+    "publish_project": Need(On.project, Right.delete, _ADMIN),
+    "set_project_quota": Need(On.server, None, _ADMIN),
+    "delete_project": Need(On.project, Right.delete, _WRITE),
+    "get_mission_template": Need(On.project, Right.read, _NAMES),
+    # Missions
+    "create_mission": Need(On.project, Right.create, _UPLOAD),
+    "list_missions": _seen(_NAMES),
+    "get_mission": Need(On.mission, Right.read, _NAMES, guests=True),
+    "update_mission": Need(On.mission, Right.write, _WRITE),
+    "move_mission": Need(On.mission, Right.delete, _WRITE),
+    "delete_mission": Need(On.mission, Right.delete, _WRITE),
+    "list_recordings": Need(On.mission, Right.read, _READ, guests=True),
+    "get_recording": Need(On.mission, Right.read, _READ, guests=True),
+    # Files
+    "list_files": _seen(),
+    "get_file": Need(On.mission, Right.read, _READ, guests=True),
+    "download_files": Need(On.mission, Right.read, _READ, guests=True),
+    "list_file_topics": Need(On.mission, Right.read, _READ, guests=True),
+    "prove_file": Need(On.mission, Right.read, _READ),
+    "update_file": Need(On.mission, Right.write, _WRITE),
+    "move_file": Need(On.mission, Right.delete, _WRITE),
+    "delete_file": Need(On.mission, Right.delete, _WRITE),
+    "list_topics": _seen(),
+    "get_stats": _seen(),
+    # Uploads
+    "begin_uploads": Need(On.mission, Right.create, _UPLOAD),
+    "list_uploads": Need(On.mission, Right.create, _UPLOAD),
+    "get_upload": Need(On.mission, Right.create, _UPLOAD),
+    "sign_parts": Need(On.mission, Right.create, _UPLOAD),
+    "complete_uploads": Need(On.mission, Right.create, _UPLOAD),
+    "abort_upload": Need(On.mission, Right.create, _UPLOAD),
+    # Trash
+    "list_trash": Need(On.anything, Right.delete, _READ),
+    "restore_from_trash": Need(On.mission, Right.delete, _WRITE),
+    # The record and the service
+    "list_audit_events": Need(On.project, Right.delete, _READ),
+    "get_service": Need(On.nothing, None, _ANY, runners=True),
+}

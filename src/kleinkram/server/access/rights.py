@@ -1,0 +1,78 @@
+"""Whether somebody may do something: what a credential is for at all, and what right its carrier has on a place."""
+
+import uuid
+from typing import Any
+
+from sqlalchemy import Row, Select, func, select
+
+from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing
+from kleinkram.contract.rights import Right
+from kleinkram.server.access.actor import Actor, ActorKind
+from kleinkram.server.access.operations import OPERATIONS, On
+from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
+from kleinkram.server.db import Connection
+from kleinkram.server.tables import mission, project
+
+# Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
+_TAKING = 0x6B6C5247
+
+
+def admit(actor: Actor, operation: str) -> None:
+    """See that a credential may be used for an operation at all, whatever its carrier's rights are.
+
+    Raises:
+        NotAuthenticated: it takes an account, and there is none.
+        ScopeMissing: the token, or the link, is not for this.
+        Forbidden: it is for admins.
+    """
+    need = OPERATIONS[operation]
+    if actor.kind is ActorKind.stranger and not need.guests:
+        raise NotAuthenticated(reason="this takes an account")
+    if actor.kind is ActorKind.share and not need.guests:
+        raise ScopeMissing(operation=_words(operation), scopes="an account")
+    if actor.kind is ActorKind.runner and not need.runners:
+        raise ScopeMissing(operation=_words(operation), scopes="a person's token")
+    if not need.scopes & actor.scopes:
+        raise ScopeMissing(operation=_words(operation), scopes=" or ".join(sorted(need.scopes)))
+    if need.on is On.server and not actor.is_admin:
+        raise Forbidden(noun="server", operation=_words(operation), needs="an admin")
+
+
+async def require_project(db: Connection, actor: Actor, operation: str, project_id: uuid.UUID) -> None:
+    """See that `actor` may do `operation` on a project.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but the operation takes more.
+    """
+    stmt = visible_projects(actor).with_only_columns(level_on_project(actor)).where(project.c.id == project_id)
+    await _require(db, stmt, operation, noun="project", ref=project_id)
+
+
+async def require_mission(db: Connection, actor: Actor, operation: str, mission_id: uuid.UUID) -> None:
+    """See that `actor` may do `operation` on a mission.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but the operation takes more.
+    """
+    levels = visible_missions(actor).with_only_columns(level_on_mission(actor), maintain_column_froms=True)
+    await _require(db, levels.where(mission.c.id == mission_id), operation, noun="mission", ref=mission_id)
+
+
+async def hold_rights(db: Connection) -> None:
+    """Keep everybody else from taking rights away until this transaction ends."""
+    await db.execute(select(func.pg_advisory_xact_lock(_TAKING)))
+
+
+async def _require(db: Connection, levels: Select[Any], operation: str, *, noun: str, ref: uuid.UUID) -> None:
+    row: Row[Any] | None = (await db.execute(levels)).one_or_none()
+    if row is None:
+        raise NotFound(noun=noun, ref=str(ref))
+    needed = OPERATIONS[operation].right or Right.read
+    if row[0] < needed.level:
+        raise Forbidden(noun=noun, operation=_words(operation), needs=needed.value)
+
+
+def _words(operation: str) -> str:
+    return operation.replace("_", " ")

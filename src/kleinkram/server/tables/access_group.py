@@ -1,0 +1,73 @@
+"""Groups, who is in them until when, and what they are granted. Every right is a grant to a group."""
+
+from sqlalchemy import (
+    Boolean,
+    CheckConstraint,
+    Column,
+    DateTime,
+    ForeignKey,
+    Index,
+    PrimaryKeyConstraint,
+    SmallInteger,
+    Table,
+    Text,
+    Uuid,
+    text,
+)
+
+from kleinkram.contract.rights import GroupKind
+from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
+
+access_group = Table(
+    "access_group",
+    metadata,
+    id_column(),
+    Column("kind", Text, nullable=False),
+    # Of a person's own group this is their name once more, of an e-mail's the address.
+    sorted_text("name"),
+    sorted_text("name_key"),
+    Column("person_id", Uuid, ForeignKey("person.id"), unique=True),
+    created_at_column(),
+    Column("created_by_id", Uuid, ForeignKey("person.id")),
+    one_of("kind", GroupKind),
+    CheckConstraint("(kind = 'person') = (person_id IS NOT NULL)", name="person"),
+    Index("uq_access_group_email", "name_key", unique=True, postgresql_where=text("kind = 'email'")),
+    Index(
+        "uq_access_group_name",
+        "name_key",
+        unique=True,
+        postgresql_where=text("kind IN ('custom', 'affiliation', 'admins')"),
+    ),
+)
+
+membership = Table(
+    "membership",
+    metadata,
+    Column("group_id", Uuid, ForeignKey("access_group.id", ondelete="CASCADE"), nullable=False),
+    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False),
+    Column("is_editor", Boolean, nullable=False, server_default=text("false")),
+    Column("expires_at", DateTime(timezone=True)),
+    created_at_column(),
+    Column("added_by_id", Uuid, ForeignKey("person.id")),
+    PrimaryKeyConstraint("group_id", "person_id"),
+    Index("ix_membership_person_id", "person_id", "group_id"),
+)
+
+access_grant = Table(
+    "access_grant",
+    metadata,
+    id_column(),
+    Column("group_id", Uuid, ForeignKey("access_group.id", ondelete="CASCADE"), nullable=False),
+    Column("project_id", Uuid, ForeignKey("project.id", ondelete="CASCADE")),
+    Column("mission_id", Uuid, ForeignKey("mission.id", ondelete="CASCADE")),
+    # The level of the contract's `Right`.
+    Column("level", SmallInteger, nullable=False),
+    Column("expires_at", DateTime(timezone=True)),
+    created_at_column(),
+    Column("granted_by_id", Uuid, ForeignKey("person.id")),
+    CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
+    CheckConstraint("level BETWEEN 1 AND 4", name="level"),
+    Index("uq_access_grant_project", "project_id", "group_id", unique=True),
+    Index("uq_access_grant_mission", "mission_id", "group_id", unique=True),
+    Index("ix_access_grant_group_id", "group_id"),
+)
