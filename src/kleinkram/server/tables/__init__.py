@@ -9,6 +9,14 @@ from kleinkram.server.tables.mission import mission
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
 from kleinkram.server.tables.share import share, share_file
+from kleinkram.server.tables.signing_in import (
+    identity,
+    login_request,
+    oidc_login,
+    one_time_code,
+    password,
+    rate_count,
+)
 from kleinkram.server.tables.store_probe import store_probe
 from kleinkram.server.tables.upload import upload
 
@@ -18,12 +26,18 @@ __all__ = [
     "audit_event",
     "blob",
     "file",
+    "identity",
+    "login_request",
     "membership",
     "metadata",
     "mission",
+    "oidc_login",
+    "one_time_code",
+    "password",
     "person",
     "person_email",
     "project",
+    "rate_count",
     "recording",
     "session",
     "share",
