@@ -26,6 +26,7 @@ class ExitCode(enum.IntEnum):
     several = 10
     destination = 11
     timed_out = 12
+    no_room = 13
     interrupted = 130
 
 
@@ -39,8 +40,17 @@ class Refused(local.ClientError):
 
 EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.NotAuthenticated: ExitCode.not_allowed,
+    remote.SignInPending: ExitCode.not_allowed,
+    remote.SlowDown: ExitCode.not_allowed,
+    remote.SignInDenied: ExitCode.not_allowed,
+    remote.SignInExpired: ExitCode.timed_out,
     remote.Forbidden: ExitCode.not_allowed,
     remote.ScopeMissing: ExitCode.not_allowed,
+    remote.TokenTooWide: ExitCode.not_allowed,
+    remote.RightExceeded: ExitCode.not_allowed,
+    remote.LastOwner: ExitCode.conflict,
+    remote.LastAdmin: ExitCode.conflict,
+    remote.GroupFixed: ExitCode.conflict,
     remote.NotFound: ExitCode.not_found,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,
@@ -58,6 +68,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.UploadIncomplete: ExitCode.bytes_differ,
     remote.ChecksumMismatch: ExitCode.bytes_differ,
     remote.FileUnavailable: ExitCode.bytes_differ,
+    remote.QuotaExceeded: ExitCode.no_room,
     remote.MethodNotAllowed: ExitCode.server_failed,
     remote.StoreUnavailable: ExitCode.unreachable,
     remote.DatabaseUnavailable: ExitCode.unreachable,

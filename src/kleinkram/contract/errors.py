@@ -15,8 +15,17 @@ class ErrorCode(str, enum.Enum):
     """The closed set of failures."""
 
     not_authenticated = "not_authenticated"
+    sign_in_pending = "sign_in_pending"
+    slow_down = "slow_down"
+    sign_in_denied = "sign_in_denied"
+    sign_in_expired = "sign_in_expired"
     forbidden = "forbidden"
     scope_missing = "scope_missing"
+    token_too_wide = "token_too_wide"
+    right_exceeded = "right_exceeded"
+    last_owner = "last_owner"
+    last_admin = "last_admin"
+    group_fixed = "group_fixed"
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
@@ -34,6 +43,7 @@ class ErrorCode(str, enum.Enum):
     upload_incomplete = "upload_incomplete"
     checksum_mismatch = "checksum_mismatch"
     file_unavailable = "file_unavailable"
+    quota_exceeded = "quota_exceeded"
     method_not_allowed = "method_not_allowed"
     store_unavailable = "store_unavailable"
     database_unavailable = "database_unavailable"
@@ -84,6 +94,40 @@ class NotAuthenticated(KleinkramError):
 
 
 @dataclass(eq=False)
+class SignInPending(KleinkramError):
+    """The code has not been typed yet. Type it on the page, or ask again in {interval_s:g} s."""
+
+    code = ErrorCode.sign_in_pending
+    status = 400
+    interval_s: float
+
+
+@dataclass(eq=False)
+class SlowDown(KleinkramError):
+    """That was asked too often. Ask again no sooner than in {interval_s:g} s."""
+
+    code = ErrorCode.slow_down
+    status = 429
+    interval_s: float
+
+
+@dataclass(eq=False)
+class SignInDenied(KleinkramError):
+    """The sign-in was refused on the page. Nothing was kept; `klein login` begins anew."""
+
+    code = ErrorCode.sign_in_denied
+    status = 403
+
+
+@dataclass(eq=False)
+class SignInExpired(KleinkramError):
+    """The sign-in was not finished in time, or its code has been used. `klein login` begins anew."""
+
+    code = ErrorCode.sign_in_expired
+    status = 410
+
+
+@dataclass(eq=False)
 class Forbidden(KleinkramError):
     """You may not {operation} here: on this {noun} that takes {needs}. Ask one of its owners."""
 
@@ -102,6 +146,62 @@ class ScopeMissing(KleinkramError):
     status = 403
     operation: str
     scopes: str
+
+
+@dataclass(eq=False)
+class TokenTooWide(KleinkramError):
+    """A token cannot make one that may do more than itself: {reason}. Sign in to make that one."""
+
+    code = ErrorCode.token_too_wide
+    status = 403
+    reason: str
+
+
+@dataclass(eq=False)
+class RightExceeded(KleinkramError):
+    """You may not give {wanted} on this {noun}: you hold {held} there. Nobody gives more, or for longer, than they hold."""  # noqa: E501  one sentence
+
+    code = ErrorCode.right_exceeded
+    status = 403
+    noun: str
+    wanted: str
+    held: str
+
+
+@dataclass(eq=False)
+class LastOwner(KleinkramError):
+    """That would leave {listing} without a lasting owner: somebody active who has DELETE without an end, not by an e-mail address. Give that to somebody else first."""  # noqa: E501  one sentence
+
+    code = ErrorCode.last_owner
+    status = 409
+    projects: list[str]
+
+    @property
+    def listing(self) -> str:
+        """The projects, as a person reads them."""
+        return ", ".join(repr(name) for name in self.projects)
+
+    def sentence(self) -> str:
+        """Return the sentence with all projects."""
+        return (type(self).__doc__ or "").format(listing=self.listing)
+
+
+@dataclass(eq=False)
+class LastAdmin(KleinkramError):
+    """That would leave this server without a lasting admin: somebody active who is one without an end. Make somebody else one first."""  # noqa: E501  one sentence
+
+    code = ErrorCode.last_admin
+    status = 409
+
+
+@dataclass(eq=False)
+class GroupFixed(KleinkramError):
+    """The group {name!r} cannot be changed like that: {reason}."""
+
+    code = ErrorCode.group_fixed
+    status = 409
+    name: str
+    reason: str
 
 
 @dataclass(eq=False)
@@ -288,6 +388,30 @@ class FileUnavailable(KleinkramError):
     status = 409
     path: str
     state: str
+
+
+@dataclass(eq=False)
+class QuotaExceeded(KleinkramError):
+    """The project {project!r} has no room for this: it asks for {asked} {unit}{numbers}. Nothing was begun; delete something, or ask an admin for more."""  # noqa: E501  one sentence
+
+    code = ErrorCode.quota_exceeded
+    status = 507
+    project: str
+    # `bytes` or `files`.
+    unit: str
+    asked: int
+    # Null for whoever may not see what the project holds.
+    used: int | None
+    quota: int | None
+
+    @property
+    def numbers(self) -> str:
+        """What is used of what there is, where that may be told."""
+        return "" if self.used is None else f" more, and {self.used} of {self.quota} are used"
+
+    def sentence(self) -> str:
+        """Return the sentence with the numbers."""
+        return (type(self).__doc__ or "").format(**self.__dict__, numbers=self.numbers)
 
 
 @dataclass(eq=False)

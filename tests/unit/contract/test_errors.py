@@ -18,7 +18,9 @@ from kleinkram.contract.errors import (
 _VALUES: dict[str, object] = {
     "str": "text",
     "int": 7,
+    "float": 2.5,
     "str | None": "text",
+    "int | None": 8,
     "list[str]": ["a/b (1)", "a/c (2)"],
     "list[FieldProblem]": [FieldProblem(field="robot", message="is missing", line=3)],
 }
