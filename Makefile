@@ -29,7 +29,7 @@ story: setup
 	@$(BIN)/python examples/demo.py --story
 
 test: setup
-	@$(BIN)/python -m pytest -m "not slow and not soak" -q
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 2 --dist loadfile
 
 test-all: setup
 	@$(BIN)/python -m pytest -m slow -q
