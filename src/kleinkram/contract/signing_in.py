@@ -1,10 +1,10 @@
 """Signing in from a terminal, and who one is: by a browser on the same machine, or by a code typed elsewhere.
 
 By a browser (RFC 8252, RFC 7636): klein listens on 127.0.0.1 and opens
-`{public_url}/sign-in/cli?port=…&state=…&code_challenge=…&client=…` (S256); once the person has agreed, the page sends the
-browser to `http://127.0.0.1:{port}/?code=…&state=…`, else to `…/?error=denied&state=…`. `POST /auth/cli/token` exchanges
-the code. By a code (RFC 8628): `POST /auth/device`, then `POST /auth/device/token` every `interval_s`, which fails with
-SignInPending, SlowDown, SignInDenied or SignInExpired until it answers. Both make a personal token.
+`{public_url}/sign-in/cli?port=…&state=…&code_challenge=…&client=…` (S256); once the person has agreed, the page sends
+the browser to `http://127.0.0.1:{port}/?code=…&state=…`, else to `…/?error=denied&state=…`. `POST /auth/cli/token`
+exchanges the code. By a code (RFC 8628): `POST /auth/device`, then `POST /auth/device/token` every `interval_s`, which
+fails with SignInPending, SlowDown, SignInDenied or SignInExpired until it answers. Both make a personal token.
 """
 
 import datetime
