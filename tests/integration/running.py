@@ -8,7 +8,7 @@ import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -47,13 +47,17 @@ class Answer:
 
 @dataclass
 class Api:
-    """A running API with a database of its own, its owner's token, and a way into the database."""
+    """A running API with a database of its own, the token of who asks (at first its owner), and a way in behind it."""
 
     url: str
-    token: str
+    token: str | None
     app: FastAPI
     database: psycopg.Connection[tuple[Any, ...]]
     _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
+
+    def as_(self, token: str | None) -> "Api":
+        """Return the same API asked by whoever carries this token or link, or by nobody in particular."""
+        return replace(self, token=token)
 
     def call(
         self,
@@ -63,8 +67,9 @@ class Api:
         query: Query = (),
         headers: Mapping[str, str] | None = None,
     ) -> Answer:
-        """Make one request to `/api/v1{path}`, as the owner unless `headers` say otherwise."""
-        sent = {"Authorization": f"Bearer {self.token}", **(headers or {})}
+        """Make one request to `/api/v1{path}`, as the carrier of the token unless `headers` say otherwise."""
+        sent = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+        sent |= headers or {}
         data = None
         if body is not None:
             sent["Content-Type"] = "application/json"
