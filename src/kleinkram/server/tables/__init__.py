@@ -1,6 +1,6 @@
 """The data model: one module a noun. Constraints and indexes stand here; what the database can hold, it holds."""
 
-from kleinkram.server.tables.access_group import access_grant, access_group, membership
+from kleinkram.server.tables.access_group import access_grant, access_group, affiliation, affiliation_domain, membership
 from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blob import blob, topic
@@ -23,6 +23,8 @@ from kleinkram.server.tables.upload import upload
 __all__ = [
     "access_grant",
     "access_group",
+    "affiliation",
+    "affiliation_domain",
     "audit_event",
     "blob",
     "file",

@@ -53,6 +53,23 @@ membership = Table(
     Index("ix_membership_person_id", "person_id", "group_id"),
 )
 
+# What the settings say of an affiliation group: what it gets on each new project, and who is in it. Members come and go
+# with the exact domains of verified addresses; a group without a row here is one that the settings name no longer.
+affiliation = Table(
+    "affiliation",
+    metadata,
+    Column("group_id", Uuid, ForeignKey("access_group.id", ondelete="CASCADE"), primary_key=True),
+    Column("default_level", SmallInteger),
+    CheckConstraint("default_level BETWEEN 1 AND 4", name="default_level"),
+)
+
+affiliation_domain = Table(
+    "affiliation_domain",
+    metadata,
+    sorted_text("domain", primary_key=True),
+    Column("group_id", Uuid, ForeignKey("affiliation.group_id", ondelete="CASCADE"), primary_key=True),
+)
+
 access_grant = Table(
     "access_grant",
     metadata,
