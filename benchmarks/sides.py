@@ -149,7 +149,7 @@ def _link(mission: str, path: str) -> DownloadLink:
 
 
 def download_raw(mission: str, destination: str) -> dict[str, float]:
-    """Fetch the same ranges with the same concurrency into a file, without looking at a byte."""
+    """Fetch the same ranges with the same concurrency into a file that is forced to disk, without looking at a byte."""
     link = _link(mission, "*")
     pool = urllib3.PoolManager(maxsize=CONNECTIONS)
     started = time.perf_counter()
@@ -169,6 +169,7 @@ def download_raw(mission: str, destination: str) -> dict[str, float]:
 
         with ThreadPoolExecutor(CONNECTIONS) as fetchers:
             list(fetchers.map(fetch, range(0, link.size_bytes, _READ_BYTES)))
+        os.fsync(out)
     return {"seconds": time.perf_counter() - started}
 
 
