@@ -31,3 +31,21 @@ def _bag(path: Path) -> int:
             chunk += length if b"op=\x05" in header else 0
             stream.seek(length, 1)
     return total - chunk
+
+
+def needed_bytes(path: Path, topic: str, start_ns: int, end_ns: int) -> int:
+    """Return the bytes of an MCAP's chunks that hold messages of a topic in [start, end), and of its summary."""
+    with path.open("rb") as stream:
+        summary = SeekingReader(stream).get_summary()
+        if summary is None:
+            raise ValueError(f"{path} has no summary")
+        channels = {number for number, channel in summary.channels.items() if channel.topic == topic}
+        held = sum(
+            each.chunk_length
+            for each in summary.chunk_indexes
+            if each.message_start_time < end_ns
+            and each.message_end_time >= start_ns
+            and channels & each.message_index_offsets.keys()
+        )
+        last = max(each.chunk_start_offset + each.chunk_length for each in summary.chunk_indexes)
+    return held + path.stat().st_size - last

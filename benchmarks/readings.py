@@ -2,14 +2,19 @@
 
 from pathlib import Path
 
+from benchmarks.index_bytes import needed_bytes
 from benchmarks.measure import Run, pair, run_side
+from kleinkram.recordings.reading import Recording
 
 _MB = 10**6
 _MOST_MB = 200
-_SPAN_S = "8"
+_IMU = "/imu/data"
+_SPAN_S = 8
 """Seconds of the sample that its chunks hold in a little less than 50 MB."""
 
-_LONG_SPAN_S = "20"
+_LONG_SPAN_S = 20
+_MORE_MB = 0.5
+"""What stands between the chunks, which are fetched together, and what is fetched at both ends to find the index."""
 
 
 def raw_row(path: Path) -> dict[str, object]:
@@ -28,22 +33,40 @@ def raw_row(path: Path) -> dict[str, object]:
 
 
 def remote_row(path: Path) -> dict[str, object]:
-    """One topic of a span out of a large file over HTTP ranges."""
-    run = _side("remote_span", path, "/imu/data", _SPAN_S)
-    longer = _side("remote_span", path, "/imu/data", _LONG_SPAN_S)
-    fetched_mb = run.facts["bytes"] / _MB
-    peak_mb = max(run.peak_mb, longer.peak_mb)
+    """One topic of a span out of a large file over HTTP ranges: one of nearly 50 MB, and one of 20 s."""
+    spans = [_remote_span(path, seconds) for seconds in (_SPAN_S, _LONG_SPAN_S)]
+    (run, needed_mb), (longer, longer_needed_mb) = spans
+    peak_mb = max(each.peak_mb for each, _ in spans)
+    fetched_mb, longer_fetched_mb = (each.facts["bytes"] / _MB for each, _ in spans)
     return {
         "what": f"one topic of {_SPAN_S} s out of a 1 GB MCAP over HTTP, opening included",
-        "measured": f"{run.seconds:.2f} s, {fetched_mb:.0f} MB fetched",
-        "also": (
-            f"{_LONG_SPAN_S} s: {longer.seconds:.2f} s, {longer.facts['bytes'] / _MB:.0f} MB fetched; "
-            f"{peak_mb:.0f} MB of memory with the server's (bar {_MOST_MB})"
+        "measured": (
+            f"{run.seconds:.2f} s; {fetched_mb:.1f} MB fetched, where the chunks that hold it and the index "
+            f"have {needed_mb:.1f} MB"
         ),
-        "bar": "<= 1 s for <= 50 MB",
-        "met": run.seconds <= 1 and fetched_mb <= 50 and peak_mb <= _MOST_MB,
-        "seconds": run.seconds,
+        "also": (
+            f"{_LONG_SPAN_S} s: {longer.seconds:.2f} s, {longer_fetched_mb:.1f} MB where these have "
+            f"{longer_needed_mb:.1f} MB; {peak_mb:.0f} MB of memory with the server's (bar {_MOST_MB})"
+        ),
+        "bar": f"no more than these and {_MORE_MB} MB; <= 1 s where they are <= 50 MB",
+        "met": (
+            all(each.facts["bytes"] / _MB <= needed + _MORE_MB for each, needed in spans)
+            and run.seconds <= 1
+            and needed_mb <= 50
+            and peak_mb <= _MOST_MB
+        ),
+        "seconds": [each.seconds for each, _ in spans],
+        "bytes": [each.facts["bytes"] for each, _ in spans],
     }
+
+
+def _remote_span(path: Path, seconds: int) -> tuple[Run, float]:
+    """Return what reading a span in the middle of a file cost, and how many MB cannot be spared."""
+    with Recording.open(path) as recording:
+        start_ns = ((recording.start_ns or 0) + (recording.end_ns or 0)) // 2
+    end_ns = start_ns + seconds * 10**9
+    needed = needed_bytes(path, _IMU, start_ns, end_ns)
+    return _side("remote_span", path, _IMU, str(start_ns), str(end_ns)), needed / _MB
 
 
 def _side(name: str, *arguments: str | Path) -> Run:

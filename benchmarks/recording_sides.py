@@ -1,10 +1,6 @@
-"""Sides that read recordings, each run as a process of its own (see `sides`): ours and the public readers'."""
+"""Sides that read recordings, each run as a process of its own (see `side`): ours and the public readers'."""
 
-import json
-import resource
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -14,11 +10,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from small_mcap import read_message_decoded
 
-from kleinkram.recordings.decoding import Value, decoder_for, to_arrow
+from benchmarks.side import Facts, main
+from kleinkram.recordings.decoding import Value
 from kleinkram.recordings.reading import Recording
 
 
-def decode_ours(path: str) -> dict[str, float]:
+def decode_ours(path: str) -> Facts:
     """Decode every message of a recording."""
     started = time.perf_counter()
     with Recording.open(path) as recording:
@@ -26,7 +23,7 @@ def decode_ours(path: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
-def decode_small_mcap(path: str) -> dict[str, float]:
+def decode_small_mcap(path: str) -> Facts:
     """The same with small-mcap and mcap-ros2-support-fast."""
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
@@ -35,7 +32,7 @@ def decode_small_mcap(path: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
-def decode_mcap(path: str) -> dict[str, float]:
+def decode_mcap(path: str) -> Facts:
     """The same with mcap and mcap-ros2-support."""
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
@@ -44,7 +41,7 @@ def decode_mcap(path: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
-def decode_rosbags(path: str) -> dict[str, float]:
+def decode_rosbags(path: str) -> Facts:
     """The same with rosbags."""
     started = time.perf_counter()
     with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
@@ -53,40 +50,5 @@ def decode_rosbags(path: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
-def arrow_ours(path: str, topic: str) -> dict[str, float]:
-    """One topic as an Arrow table, all fields: from the file, and once more from messages that are at hand."""
-    started = time.perf_counter()
-    with Recording.open(path) as recording:
-        rows = recording.to_arrow(topic).num_rows
-        seconds = time.perf_counter() - started
-        peak_kib = resource.getrusage(
-            resource.RUSAGE_SELF
-        ).ru_maxrss  # before the messages are held for the second table
-        schema = recording.topic(topic).schema
-        messages = [(m.log_time_ns, m.publish_time_ns, bytes(m.data)) for m in recording.raw_messages([topic])]
-    decoder = decoder_for("cdr", schema.name, schema.encoding, schema.data)
-    started = time.perf_counter()
-    table = to_arrow(decoder, messages)
-    return {
-        "seconds": seconds,
-        "messages": rows,
-        "file_peak_mb": peak_kib / 1024,
-        "table_messages_per_s": table.num_rows / (time.perf_counter() - started),
-    }
-
-
-SIDES: dict[str, Callable[..., dict[str, float]]] = {
-    side.__name__: side for side in (decode_ours, decode_small_mcap, decode_mcap, decode_rosbags, arrow_ours)
-}
-
-
-def main() -> None:
-    """Run the side named on the command line."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    account = SIDES[sys.argv[1]](*sys.argv[2:])
-    account["import_cpu_s"] = usage.ru_utime + usage.ru_stime
-    sys.stdout.write(json.dumps(account))
-
-
 if __name__ == "__main__":
-    main()
+    main((decode_ours, decode_small_mcap, decode_mcap, decode_rosbags))

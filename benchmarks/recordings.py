@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.arrows import arrow_row
 from benchmarks.measure import take_turns
 from benchmarks.readings import raw_row, remote_row
 from benchmarks.scans import scan_bag_row, scan_mcap_row, synthetic_row
@@ -23,7 +24,6 @@ _DECODERS = {
 }
 _RUNS = 3
 _MOST_MB = 200
-_IMU = "/imu/data"
 
 
 def recording_rows(folder: Path) -> list[Row]:
@@ -52,23 +52,6 @@ def decode_row(path: Path) -> Row:
         "met": ratio >= 1 and peak_mb <= _MOST_MB,
         "ratio": ratio,
         "seconds": seconds,
-    }
-
-
-def arrow_row(path: Path) -> Row:
-    """An IMU topic to an Arrow table: all fields, from the file, and from messages that are at hand."""
-    runs = take_turns(["arrow_ours"], str(path), _IMU, module=_SIDES, rounds=_RUNS)["arrow_ours"]
-    rate = statistics.median(run.facts["messages"] / run.seconds for run in runs)
-    alone = statistics.median(run.facts["table_messages_per_s"] for run in runs)
-    peak_mb = max(run.facts["file_peak_mb"] for run in runs)
-    return {
-        "what": "the IMU topic of a 1 GB MCAP to Arrow",
-        "measured": f"{alone:.0f} messages/s from messages at hand",
-        "also": f"{rate:.0f} messages/s from the file, all of it read; {peak_mb:.0f} MB (bar {_MOST_MB})",
-        "bar": ">= 300000 messages/s",
-        "met": alone >= 300_000 and peak_mb <= _MOST_MB,
-        "messages_per_s": alone,
-        "messages_per_s_from_file": rate,
     }
 
 

@@ -1,17 +1,14 @@
-"""Sides that scan recordings, each run as a process of its own (see `sides`): ours and the public readers'."""
+"""Sides that scan recordings, each run as a process of its own (see `side`): ours and the public readers'."""
 
-import json
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.side import Facts, main
 from kleinkram.recordings import CountingSource, summarise
 from kleinkram.recordings.forward import from_file
 from kleinkram.recordings.summary import scan
 
-Facts = dict[str, float]
 _CHUNK_BYTES = 4 * 2**20
 
 
@@ -79,9 +76,5 @@ def summary_synthetic(size_bytes: str) -> Facts:
     }
 
 
-SIDES: dict[str, Callable[..., Facts]] = {
-    side.__name__: side for side in (scan_ours, scan_mcap, scan_small_mcap, scan_rosbags, summary_synthetic)
-}
-
 if __name__ == "__main__":
-    print(json.dumps(SIDES[sys.argv[1]](*sys.argv[2:])))
+    main((scan_ours, scan_mcap, scan_small_mcap, scan_rosbags, summary_synthetic))

@@ -63,7 +63,7 @@ def _scan_row(path: Path, names: list[str], *, least_mb_s: int) -> Row:
     return {
         "what": f"scan of a {size_mb / 1000:.1f} GB {path.suffix[1:]} with all checksums",
         "measured": f"{ours:.0f} MB/s (fastest other: {fastest}, {speeds[fastest]:.0f} MB/s)",
-        "also": f"each in one thread; CPU s with start: {told}; {peak:.0f} MB (bar 200)",
+        "also": f"each in one thread; CPU s: {told}; {peak:.0f} MB (bar 200)",
         "bar": f"{least}>= the fastest public reader",
         "met": ours >= max(least_mb_s, speeds[fastest]) and peak <= 200,
         "mb_per_s": speeds,

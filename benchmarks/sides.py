@@ -1,4 +1,4 @@
-"""One side of one measurement, run as a process of its own: prints JSON with `seconds` and whatever else it knows.
+"""One side of one measurement, run as a process of its own (see `side`).
 
 "Raw" is the same HTTP library, part size, concurrency and part checksums against the same store, without hashing and
 without our API: the checksums and the signed addresses are made before the clock starts.
@@ -6,10 +6,7 @@ without our API: the checksums and the signed addresses are made before the cloc
 
 import asyncio
 import hashlib
-import json
 import os
-import resource
-import sys
 import time
 import uuid
 from collections.abc import Awaitable, Callable, Iterable
@@ -22,6 +19,7 @@ from typing import TypeVar
 import urllib3
 from awscrt.checksums import crc64nvme
 
+from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
@@ -36,7 +34,7 @@ T = TypeVar("T")
 _READ_BYTES = 8 * 1024 * 1024
 
 
-def upload_ours(project: str, mission: str, *paths: str) -> dict[str, float]:
+def upload_ours(project: str, mission: str, *paths: str) -> Facts:
     """Upload through the SDK, hashed and proven by the store."""
     with connect() as client:
         mission_id = client.missions.get(mission, project=project).id
@@ -67,7 +65,7 @@ class _RawFile:
     parts: list[_RawPart]
 
 
-def upload_raw(*paths: str) -> dict[str, float]:
+def upload_raw(*paths: str) -> Facts:
     """Send the same parts with the same checksums to addresses that are signed already."""
     files = [(Path(path), Path(path).stat().st_size) for path in paths]
     prepared = asyncio.run(_with_storage(lambda storage: _prepare(storage, files)))
@@ -118,7 +116,7 @@ async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:
         return await work(storage.proving_by(ChecksumKind.crc64nvme))
 
 
-def download_ours(mission: str, destination: str) -> dict[str, float]:
+def download_ours(mission: str, destination: str) -> Facts:
     """Download through the SDK, verified by SHA-256; `verify_s` is that part alone, done once more afterwards."""
     with connect() as client:
         files = list(client.files.list(FileFilter(mission=mission)))
@@ -148,7 +146,7 @@ def _link(mission: str, path: str) -> DownloadLink:
         return client.files.links([read.id]).items[0]
 
 
-def download_raw(mission: str, destination: str) -> dict[str, float]:
+def download_raw(mission: str, destination: str) -> Facts:
     """Fetch the same ranges with the same concurrency into a file that is forced to disk, without looking at a byte."""
     link = _link(mission, "*")
     pool = urllib3.PoolManager(maxsize=CONNECTIONS)
@@ -173,7 +171,7 @@ def download_raw(mission: str, destination: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - started}
 
 
-def summary_remote(mission: str, path: str) -> dict[str, float]:
+def summary_remote(mission: str, path: str) -> Facts:
     """Summarise a stored recording through a presigned address."""
     link = _link(mission, path)
     started = time.perf_counter()
@@ -183,19 +181,5 @@ def summary_remote(mission: str, path: str) -> dict[str, float]:
     return {"seconds": seconds, "bytes_read": source.bytes_read, "messages": summary.message_count or 0}
 
 
-SIDES: dict[str, Callable[..., dict[str, float]]] = {
-    side.__name__: side for side in (upload_ours, upload_raw, download_ours, download_raw, summary_remote)
-}
-
-
-def main() -> None:
-    """Run the side named on the command line."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    account = SIDES[sys.argv[1]](*sys.argv[2:])
-    # What importing cost is no part of a transfer.
-    account["import_cpu_s"] = usage.ru_utime + usage.ru_stime
-    sys.stdout.write(json.dumps(account))
-
-
 if __name__ == "__main__":
-    main()
+    main((upload_ours, upload_raw, download_ours, download_raw, summary_remote))
