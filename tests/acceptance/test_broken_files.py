@@ -1,0 +1,45 @@
+"""A field day with a broken disk: what can be read is told, found, and distinguished from what cannot."""
+
+import shutil
+from pathlib import Path
+
+from kleinkram.recordings.sample import generate_mcap
+from tests.acceptance.conftest import Terminal
+
+
+def _day(folder: Path) -> Path:
+    """A whole recording, one that was cut, one with a start and nothing behind it, and a note."""
+    folder.mkdir()
+    generate_mcap(folder / "whole.mcap", duration_s=2)
+    shutil.copy(folder / "whole.mcap", folder / "cut.mcap")
+    with (folder / "cut.mcap").open("r+b") as file:
+        file.truncate((folder / "whole.mcap").stat().st_size * 2 // 3)
+    (folder / "empty.mcap").write_bytes((folder / "whole.mcap").read_bytes()[:60])
+    (folder / "note.txt").write_text("the disk was full")
+    return folder
+
+
+def test_whole_cut_and_broken_recordings_are_told_apart(terminal: Terminal, project: str, tmp_path: Path) -> None:
+    place = ["-p", project, "-m", "Day 1"]
+    terminal.run("upload", *place, "--create", "--wait", f"{_day(tmp_path / 'day')}/")
+    states = {"indexed": ["whole.mcap"], "recovered": ["cut.mcap"], "broken": ["empty.mcap"], "opaque": ["note.txt"]}
+    for state, paths in states.items():
+        for command in (("file", "list"), ("search",)):
+            found = terminal.run(*command, "-p", project, "--content", state, "--json").json()
+            assert [item["path"] for item in found["items"]] == paths, (command, state)
+            shown = terminal.run(*command, "-p", project, "--content", state).out
+            assert paths[0] in shown
+            assert state in shown
+
+    told = terminal.run("mission", "info", *place, "--json").json()
+    recordings = {each["name"]: each for each in told["recordings"]}
+    assert {name: each["content"] for name, each in recordings.items()} == {
+        path: state for state, paths in states.items() for path in paths if state != "opaque"
+    }
+    whole, cut = recordings["whole.mcap"], recordings["cut.mcap"]
+    assert 0 < cut["message_count"] < whole["message_count"]
+    assert cut["content_reason"]
+    shown = terminal.run("mission", "info", *place).out
+    for name in ("cut.mcap", "empty.mcap"):
+        assert recordings[name]["content_reason"].split()[0] in shown
+    assert terminal.run("search", "-p", project, "--content", "no-such", "--json", code=None).code == 2
