@@ -19,9 +19,13 @@ class ErrorCode(str, enum.Enum):
     slow_down = "slow_down"
     sign_in_denied = "sign_in_denied"
     sign_in_expired = "sign_in_expired"
+    sign_in_failed = "sign_in_failed"
+    sign_in_refused = "sign_in_refused"
+    code_gone = "code_gone"
+    provider_unavailable = "provider_unavailable"
     forbidden = "forbidden"
     scope_missing = "scope_missing"
-    token_too_wide = "token_too_wide"
+    token_too_wide = "token_too_wide"  # noqa: S105  the code's name
     right_exceeded = "right_exceeded"
     last_owner = "last_owner"
     last_admin = "last_admin"
@@ -86,11 +90,13 @@ class KleinkramError(Exception):
 
 @dataclass(eq=False)
 class NotAuthenticated(KleinkramError):
-    """The server does not know who you are: {reason}. Give a valid token (`klein endpoint` shows the one in use)."""
+    """The server does not know who you are: {reason}. `klein login {server}` signs in; a robot needs a valid token."""
 
     code = ErrorCode.not_authenticated
     status = 401
     reason: str
+    # How the client reaches the server, which says so itself.
+    server: str = "URL"
 
 
 @dataclass(eq=False)
@@ -125,6 +131,41 @@ class SignInExpired(KleinkramError):
 
     code = ErrorCode.sign_in_expired
     status = 410
+
+
+@dataclass(eq=False)
+class SignInFailed(KleinkramError):
+    """E-mail address and password do not belong together. Try again, or ask an admin for a link to a new password."""
+
+    code = ErrorCode.sign_in_failed
+    status = 401
+
+
+@dataclass(eq=False)
+class SignInRefused(KleinkramError):
+    """You are not signed in: {reason}"""
+
+    code = ErrorCode.sign_in_refused
+    status = 403
+    reason: str
+
+
+@dataclass(eq=False)
+class CodeGone(KleinkramError):
+    """This link or code is not good (any more): it was used, its time is over, or a newer one took its place. Ask for a new one."""  # noqa: E501  one sentence
+
+    code = ErrorCode.code_gone
+    status = 410
+
+
+@dataclass(eq=False)
+class ProviderUnavailable(KleinkramError):
+    """{provider} could not be asked who you are: {reason}. Nothing was changed; try again, or sign in another way."""
+
+    code = ErrorCode.provider_unavailable
+    status = 503
+    provider: str
+    reason: str
 
 
 @dataclass(eq=False)

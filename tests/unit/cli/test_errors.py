@@ -32,6 +32,7 @@ def test_numbers_never_change() -> None:
         "several": 10,
         "destination": 11,
         "timed_out": 12,
+        "no_room": 13,
         "interrupted": 130,
     }
 

@@ -82,7 +82,12 @@ OPERATIONS: dict[str, Need] = {
     # Trash
     "list_trash": Need(On.anything, Right.delete, _READ),
     "restore_from_trash": Need(On.mission, Right.delete, _WRITE),
+    # Tokens. Any may be ended with itself; all else about them takes the scope admin, which no robot's has.
+    "create_token": Need(On.nothing, None, _ADMIN),
+    "list_tokens": Need(On.nothing, None, _ADMIN),
+    "revoke_token": Need(On.nothing, None, _ANY),
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
+    "export_audit_events": Need(On.project, Right.delete, _READ),
     "get_service": Need(On.nothing, None, _ANY, runners=True),
 }

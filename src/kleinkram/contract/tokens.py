@@ -1,0 +1,96 @@
+"""Tokens: what scripts, robots and runners carry instead of a person's sign-in."""
+
+import datetime
+import uuid
+from typing import Annotated
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
+
+from kleinkram.contract.names import Label
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.rights import Scope, TokenKind
+
+DEFAULT_SCOPES = {
+    TokenKind.personal: (Scope.write,),
+    TokenKind.robot: (Scope.upload,),
+    TokenKind.runner: (Scope.run,),
+}
+Places = Annotated[list[uuid.UUID], Field(max_length=100)]
+
+
+class TokenCreate(BaseModel):
+    """A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
+
+    A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Label
+    kind: TokenKind = TokenKind.personal
+    scopes: Annotated[list[Scope], Field(min_length=1, max_length=len(Scope))] | None = None
+    project_ids: Places = []
+    mission_ids: Places = []
+    expires_at: AwareDatetime | None = None
+
+    @property
+    def chosen_scopes(self) -> list[Scope]:
+        """The scopes it gets, each once."""
+        return list(dict.fromkeys(self.scopes if self.scopes is not None else DEFAULT_SCOPES[self.kind]))
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether it reaches only what is named."""
+        return bool(self.project_ids or self.mission_ids)
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> Self:
+        if self.kind is TokenKind.robot and not self.is_limited:
+            raise ValueError("a robot's token must be limited to projects or missions")
+        if self.kind is TokenKind.robot and Scope.admin in self.chosen_scopes:
+            raise ValueError("a robot's token cannot have the scope admin")
+        if self.kind is TokenKind.runner and (self.is_limited or self.chosen_scopes != [Scope.run]):
+            raise ValueError("a runner's token has the scope run, no other and no limits")
+        return self
+
+
+class TokenPlace(BaseModel):
+    """A project or mission that a token is limited to. `name` is null where whoever asks may not see it (any more)."""
+
+    model_config = ConfigDict(frozen=True)
+
+    noun: str
+    id: uuid.UUID
+    name: str | None
+
+
+class TokenRead(BaseModel):
+    """A token without its secret; `prefix` is how that begins.
+
+    `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
+    `last_used_at` is exact to a minute.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    person: PersonRef
+    name: str
+    kind: TokenKind
+    prefix: str
+    scopes: list[Scope]
+    limits: list[TokenPlace] | None
+    created_at: datetime.datetime
+    expires_at: datetime.datetime | None
+    last_used_at: datetime.datetime | None
+    revoked_at: datetime.datetime | None
+
+
+class TokenMade(BaseModel):
+    """A new token with its secret, which nobody can show again."""
+
+    model_config = ConfigDict(frozen=True)
+
+    token: TokenRead
+    secret: Annotated[str, Field(repr=False)]

@@ -1,0 +1,192 @@
+"""What may be done with tokens. Their secrets leave the server once, in the answer that makes them."""
+
+import datetime
+import uuid
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Row, Select, func, insert, select, update
+
+from kleinkram.contract.errors import (
+    FieldProblem,
+    Forbidden,
+    InvalidRequest,
+    NotFound,
+    ScopeMissing,
+    TokenTooWide,
+)
+from kleinkram.contract.paging import Page
+from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.secrets import SecretKind
+from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
+from kleinkram.server.access.actor import Actor, contained
+from kleinkram.server.access.secrets import NewSecret, new_secret
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection
+from kleinkram.server.pages import PageRequest, Rows, fetch_page
+from kleinkram.server.tables import token, token_limit
+from kleinkram.server.tokens import queries
+
+_SECRETS = {
+    TokenKind.personal: SecretKind.personal,
+    TokenKind.robot: SecretKind.robot,
+    TokenKind.runner: SecretKind.runner,
+}
+
+
+@dataclass(frozen=True)
+class Whose:
+    """Whose tokens a list shows: one person's, or with None everybody's."""
+
+    person_id: uuid.UUID | None
+
+
+async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> TokenMade:
+    """Make a token for `actor` and return it with its secret.
+
+    Raises:
+        NotFound: a project or mission to limit it to is not there, or not for this actor.
+        Forbidden: only admins make tokens for runners.
+        TokenTooWide: it could do more than the token that it is made with.
+        InvalidRequest: it would have expired already.
+    """
+    if wanted.kind is TokenKind.runner and not actor.is_admin:
+        raise Forbidden(noun="server", operation="make a token for a runner", needs="an admin")
+    await _see_that_places_are_there(db, actor, wanted)
+    expires_at = await _expiry(db, actor, wanted)
+    _see_that_it_is_no_wider(actor, wanted)
+    token_id, secret = await issue_token(db, actor.person_id, wanted=wanted, expires_at=expires_at)
+    made = await get_token(db, actor, token_id)
+    after = made.model_dump(mode="json", include={"kind", "scopes", "limits", "expires_at", "prefix"})
+    event = Event(
+        "token.create", "token", token_id, made.name, None, after=after, by_power=wanted.kind is TokenKind.runner
+    )
+    await record(db, actor, event)
+    return TokenMade(token=made, secret=secret.text)
+
+
+async def issue_token(
+    db: Connection, person_id: uuid.UUID | None, *, wanted: TokenCreate, expires_at: datetime.datetime | None
+) -> tuple[uuid.UUID, NewSecret]:
+    """Put a token there for somebody; whether they may have it, and the record, are the caller's."""
+    token_id = uuid.uuid4()
+    secret = new_secret(_SECRETS[wanted.kind])
+    await db.execute(
+        insert(token).values(
+            id=token_id,
+            person_id=person_id,
+            kind=wanted.kind.value,
+            name=wanted.name,
+            prefix=secret.prefix,
+            secret_sha256=secret.sha256,
+            scopes=[scope.value for scope in wanted.chosen_scopes],
+            is_limited=wanted.is_limited,
+            expires_at=expires_at,
+        )
+    )
+    limits = [{"project_id": each, "mission_id": None} for each in dict.fromkeys(wanted.project_ids)]
+    limits += [{"project_id": None, "mission_id": each} for each in dict.fromkeys(wanted.mission_ids)]
+    if limits:
+        rows = [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits]
+        await db.execute(insert(token_limit), rows)
+    return token_id, secret
+
+
+async def get_token(db: Connection, actor: Actor, token_id: uuid.UUID) -> TokenRead:
+    """Return one of `actor`'s tokens; admins may see anybody's.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await _row(db, actor, token_id)
+    return (await _reads(db, actor, Rows([row], None, None)))[0]
+
+
+async def list_tokens(
+    db: Connection, actor: Actor, *, whose: Whose, with_ended: bool, page: PageRequest
+) -> Page[TokenRead]:
+    """Return a page of tokens, latest first; those that were revoked or have expired only `with_ended`.
+
+    Raises:
+        Forbidden: tokens of others are for admins.
+        InvalidCursor: the cursor is not of this list.
+    """
+    if whose.person_id != actor.person_id and not _sees_others(actor):
+        raise Forbidden(noun="server", operation="list tokens of others", needs="an admin")
+    found = queries.tokens_of(whose.person_id)
+    rows = await fetch_page(db, found if with_ended else queries.still_usable(found), queries.TOKEN_ORDER, page)
+    return Page(items=await _reads(db, actor, rows), next=rows.next, total=rows.total)
+
+
+async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID) -> None:
+    """End a token, from the next request on. Nothing happens to one that has been revoked already.
+
+    Any token may end itself; to end another takes the scope admin.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        ScopeMissing: it is another than the one that asks, and that is not for this.
+    """
+    if token_id != actor.token_id and Scope.admin not in actor.scopes:
+        raise ScopeMissing(operation="revoke another token", scopes=Scope.admin.value)
+    row = await _row(db, actor, token_id)
+    open_still = (token.c.id == token_id) & token.c.revoked_at.is_(None)
+    revoked = await db.execute(update(token).where(open_still).values(revoked_at=func.now()).returning(token.c.id))
+    if revoked.first() is not None:
+        after = {"prefix": row.prefix, "person": row.person_name}
+        by_power = row.person_id != actor.person_id
+        await record(
+            db, actor, Event("token.revoke", "token", token_id, row.name, None, after=after, by_power=by_power)
+        )
+
+
+def _sees_others(actor: Actor) -> bool:
+    return actor.is_admin and actor.limits is None
+
+
+async def _row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any]:
+    found: Select[Any] = queries.tokens_of(None if _sees_others(actor) else actor.person_id)
+    row = (await db.execute(found.where(token.c.id == token_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="token", ref=str(token_id))
+    return row
+
+
+async def _reads(db: Connection, actor: Actor, rows: Rows) -> list[TokenRead]:
+    limited = [row.id for row in rows.items if row.is_limited]
+    places: dict[uuid.UUID, list[Row[Any]]] = {}
+    if limited:
+        for place in await db.execute(queries.places_of(actor, limited)):
+            places.setdefault(place.token_id, []).append(place)
+    return [queries.to_token(row, places.get(row.id, [])) for row in rows.items]
+
+
+async def _see_that_places_are_there(db: Connection, actor: Actor, wanted: TokenCreate) -> None:
+    if not wanted.is_limited:
+        return
+    found = await db.execute(queries.reachable(actor, project_ids=wanted.project_ids, mission_ids=wanted.mission_ids))
+    there = {(row.noun, row.id) for row in found}
+    for noun, ids in (("project", wanted.project_ids), ("mission", wanted.mission_ids)):
+        for each in ids:
+            if (noun, each) not in there:
+                raise NotFound(noun=noun, ref=str(each))
+
+
+async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate) -> datetime.datetime | None:
+    """Return when the token will end: as wanted, else with the token that it is made with."""
+    own = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
+    now, latest = (await db.execute(select(func.now(), own))).one()
+    if wanted.expires_at is not None and wanted.expires_at <= now:
+        problem = FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
+        raise InvalidRequest(problems=[problem])
+    if wanted.expires_at is not None and latest is not None and wanted.expires_at > latest:
+        raise TokenTooWide(reason=f"it would outlive it, which ends at {latest.isoformat(timespec='seconds')}")
+    return wanted.expires_at or latest
+
+
+def _see_that_it_is_no_wider(actor: Actor, wanted: TokenCreate) -> None:
+    beyond = contained(wanted.chosen_scopes) - actor.scopes
+    if beyond:
+        raise TokenTooWide(reason=f"it lacks the scope {', '.join(sorted(scope.value for scope in beyond))} itself")
+    if actor.limits is not None and not wanted.is_limited:
+        raise TokenTooWide(reason="it is limited itself; limit the new one to what it reaches")

@@ -1,0 +1,172 @@
+"""Tokens over HTTP: what can be made, by whom, what it then reaches, and how it ends."""
+
+import datetime
+import re
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
+from tests.integration import people
+from tests.integration.running import Api
+
+
+def _made(api: Api, **wanted: Any) -> Any:
+    return api.post("/tokens", {"name": "a token", **wanted}).ok(201)
+
+
+def _in(**span: float) -> str:
+    return (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(**span)).isoformat()
+
+
+def test_a_secret_is_shown_once_and_works_until_it_is_revoked(api: Api) -> None:
+    ada = people.person(api)
+    project = api.project()
+    people.grant(api, ada, Right.read, project_id=project["id"])
+    hers = api.as_(ada.token)
+    made = _made(hers, name="laptop", scopes=["read"])
+    assert re.fullmatch(PATTERN, made["secret"])
+    assert is_whole(made["secret"])
+    token_id = made["token"]["id"]
+    assert made["secret"].startswith(made["token"]["prefix"])
+    listed = {each["id"]: each for each in hers.all("/tokens")}
+    assert listed[token_id]["last_used_at"] is None
+    assert "secret" not in str(listed)
+    assert made["secret"][20:] not in str([hers.events(token_id), api.events(token_id), listed])
+
+    with_it = api.as_(made["secret"])
+    assert [each["id"] for each in with_it.all("/projects")] == [project["id"]]
+    with_it.post("/projects", {"name": "x"}).refused(403, "scope_missing")
+    assert {each["id"]: each for each in hers.all("/tokens")}[token_id]["last_used_at"] is not None
+
+    hers.delete(f"/tokens/{token_id}").ok(204)
+    with_it.get("/projects").refused(401, "not_authenticated")
+    assert token_id not in {each["id"] for each in hers.all("/tokens")}
+    assert {each["id"]: each for each in hers.all("/tokens", {"ended": "true"})}[token_id]["revoked_at"] is not None
+    hers.delete(f"/tokens/{token_id}").ok(204)
+    assert [event["operation"] for event in api.events(token_id)] == ["token.revoke", "token.create"]
+
+
+def test_only_a_hash_is_kept(api: Api) -> None:
+    made = _made(api, name="kept")
+    rows = api.sql("SELECT * FROM token WHERE id = %s", made["token"]["id"])
+    assert made["secret"] not in str(rows)
+    assert not is_whole(made["token"]["prefix"])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "field"),
+    [
+        ({"kind": "robot"}, "limited"),
+        ({"kind": "robot", "scopes": ["admin"], "project_ids": ["PROJECT"]}, "admin"),
+        ({"kind": "runner", "scopes": ["run", "read"]}, "runner"),
+        ({"kind": "runner", "project_ids": ["PROJECT"]}, "runner"),
+        ({"expires_at": "2020-01-01T00:00:00Z"}, "expires_at"),
+        ({"scopes": []}, "scopes"),
+        ({"name": ""}, "name"),
+    ],
+)
+def test_what_no_token_can_be_is_refused_by_name(api: Api, wanted: dict[str, Any], field: str) -> None:
+    project_id = api.project()["id"]
+    body = {"name": "x", **wanted}
+    if "project_ids" in body:
+        body["project_ids"] = [project_id]
+    assert field in str(api.post("/tokens", body).refused(422, "invalid_request"))
+
+
+def test_a_token_is_limited_to_what_its_maker_sees(api: Api) -> None:
+    ada = people.person(api)
+    seen, unseen = api.project(), api.project()
+    mission, other = api.mission(seen["id"]), api.mission(unseen["id"])
+    people.grant(api, ada, Right.delete, project_id=seen["id"])
+    hers = api.as_(ada.token)
+    hers.post("/tokens", {"name": "x", "project_ids": [unseen["id"]]}).refused(404, "not_found")
+    hers.post("/tokens", {"name": "x", "mission_ids": [other["id"]]}).refused(404, "not_found")
+    hers.post("/tokens", {"name": "x", "mission_ids": [mission["id"], mission["id"]]}).ok(201)
+    made = _made(hers, project_ids=[seen["id"]])
+    assert made["token"]["limits"] == [{"noun": "project", "id": seen["id"], "name": seen["name"]}]
+    # What she may no longer see keeps its id there, and loses its name.
+    api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
+    (limit,) = {each["id"]: each for each in hers.all("/tokens")}[made["token"]["id"]]["limits"]
+    assert limit == {"noun": "project", "id": seen["id"], "name": None}
+
+
+def test_a_token_makes_none_that_can_more_than_itself(api: Api) -> None:
+    ada = people.person(api)
+    inside, outside = api.project(), api.project()
+    for project in (inside, outside):
+        people.grant(api, ada, Right.delete, project_id=project["id"])
+    narrow = people.token(api, ada, [Scope.admin], limits=[inside["id"]], expires_s=3600)
+    with_it = api.as_(narrow.secret)
+    limited: dict[str, Any] = {"name": "x", "project_ids": [inside["id"]]}
+    assert "limited" in with_it.post("/tokens", {"name": "x"}).refused(403, "token_too_wide")["detail"]
+    with_it.post("/tokens", {"name": "x", "project_ids": [outside["id"]]}).refused(404, "not_found")
+    late = with_it.post("/tokens", {**limited, "expires_at": _in(hours=2)}).refused(403, "token_too_wide")
+    assert "outlive" in late["detail"]
+    soon = _made(with_it, **limited, expires_at=_in(minutes=5))["token"]
+    unsaid = _made(with_it, **limited)["token"]
+    assert soon["expires_at"] < unsaid["expires_at"], "it ends with the one that made it"
+    for scopes in (["read"], ["write"], ["upload"]):
+        api.as_(people.token(api, ada, [Scope(scope) for scope in scopes]).secret).post(
+            "/tokens", {"name": "x", "scopes": scopes}
+        ).refused(403, "scope_missing")
+    # The scope of an admin is no more than its carrier's rights.
+    everything = _made(api.as_(ada.token), scopes=["admin"])
+    api.as_(everything["secret"]).get("/tokens", {"everybody": "true"}).refused(403, "forbidden")
+
+
+def test_a_robot_that_may_only_upload_to_one_project_sees_no_other(api: Api) -> None:
+    project, other = api.project(), api.project()
+    api.mission(other["id"])
+    mission = api.mission(project["id"])
+    robot = _made(api, name="anymal", kind="robot", project_ids=[project["id"]])
+    assert robot["token"]["scopes"] == ["upload"]
+    its = api.as_(robot["secret"])
+    assert [each["id"] for each in its.all("/projects")] == [project["id"]]
+    assert [each["id"] for each in its.all("/missions")] == [mission["id"]]
+    its.get(f"/projects/{other['id']}").refused(404, "not_found")
+    its.post(f"/projects/{other['id']}/missions", {"name": "x"}).refused(404, "not_found")
+    for path in ("/files", "/topics", "/stats", "/trash", "/audit", "/tokens"):
+        its.get(path).refused(403, "scope_missing")
+
+
+def test_a_runners_token_is_made_by_admins_and_reaches_no_data(api: Api) -> None:
+    ada = people.person(api)
+    api.as_(ada.token).post("/tokens", {"name": "x", "kind": "runner"}).refused(403, "forbidden")
+    runner = api.as_(_made(api, name="desk", kind="runner")["secret"])
+    runner.get("/service").ok()
+    for path in ("/projects", "/missions", "/files", "/tokens", "/audit"):
+        runner.get(path).refused(403, "scope_missing")
+
+
+def test_admins_list_and_revoke_those_of_others(api: Api) -> None:
+    ada, bob = people.person(api), people.person(api)
+    hers = _made(api.as_(ada.token), name="hers")["token"]
+    bobs = api.as_(bob.token)
+    bobs.get("/tokens", {"person_id": ada.id}).refused(403, "forbidden")
+    bobs.delete(f"/tokens/{hers['id']}").refused(404, "not_found")
+    assert hers["id"] in {each["id"] for each in api.all("/tokens", {"person_id": ada.id})}
+    assert {ada.id, bob.id} <= {each["person"]["id"] for each in api.all("/tokens", {"everybody": "true"})}
+    limited = people.token(api, people.person(api, admin=True), [Scope.admin], limits=[api.project()["id"]])
+    api.as_(limited.secret).get("/tokens", {"everybody": "true"}).refused(403, "forbidden")
+    api.delete(f"/tokens/{hers['id']}").ok(204)
+    revoked, _ = api.events(hers["id"])
+    assert (revoked["operation"], revoked["as_admin"]) == ("token.revoke", True)
+
+
+def test_any_token_may_end_itself_and_no_other_without_the_scope(api: Api) -> None:
+    project = api.project()
+    robot, other = (_made(api, kind="robot", project_ids=[project["id"]]) for _ in range(2))
+    its = api.as_(robot["secret"])
+    its.delete(f"/tokens/{other['token']['id']}").refused(403, "scope_missing")
+    its.delete(f"/tokens/{robot['token']['id']}").ok(204)
+    its.get("/projects").refused(401, "not_authenticated")
+
+
+def test_a_secret_that_was_cut_or_mistyped_can_be_told(api: Api) -> None:
+    secret = _made(api)["secret"]
+    wrong = secret[:-10] + ("a" if secret[-10] != "a" else "b") + secret[-9:]
+    assert not is_mangled(secret)
+    assert [is_mangled(each) for each in (wrong, secret[:-1], secret + "x")] == [True] * 3
+    assert not is_mangled("something else")
