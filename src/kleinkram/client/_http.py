@@ -5,7 +5,7 @@ Never moves the bytes of files; those go straight to the store (`transfer/`). Sa
 
 import json
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 from urllib.parse import urlencode
 
@@ -63,6 +63,21 @@ class Api:
         """Return what a path answers; tried again when the server is briefly away."""
         return self.understood(kind, f"GET {path}", self._request("GET", path, query=query or []))
 
+    def stream(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> Iterator[T]:
+        """Yield what a path answers line by line, as it comes; tried again only before its first line.
+
+        Raises:
+            ServerUnreachable: the answer broke off.
+        """
+        answer = self._answer("GET", path, query=query or [], whole=False)
+        try:
+            for line in answer:
+                yield self.understood(kind, f"GET {path}", line)
+        except urllib3.exceptions.HTTPError as error:
+            raise self._unreachable(error) from error
+        finally:
+            answer.close()
+
     def send(self, method: str, path: str, kind: type[T], body: BaseModel | None = None) -> T:
         """Ask for a change and return its answer; not tried again once the server may have seen it."""
         answer = self._request(method, path, body=body, idempotent=False)
@@ -111,7 +126,10 @@ class Api:
             url=self.endpoint.url, what=what, client_version=kleinkram.__version__, reason=reason
         )
 
-    def _request(
+    def _request(self, method: str, path: str, **how: Any) -> bytes:  # Any: as `_answer` takes them
+        return self._answer(method, path, **how).data
+
+    def _answer(
         self,
         method: str,
         path: str,
@@ -121,26 +139,27 @@ class Api:
         idempotent: bool = True,
         patience_s: float = PATIENCE_S,
         wait: Callable[[float], object] | None = None,
-    ) -> bytes:
+        whole: bool = True,
+    ) -> urllib3.BaseHTTPResponse:
         backoff = Backoff(patience_s, wait) if wait else Backoff(patience_s)
         url = self._base + path
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
             try:
-                answer = self._once(method, url, query, content, request_id)
+                answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, request_id, whole)
             except urllib3.exceptions.HTTPError as error:
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
                     continue
                 raise remember_request(self._unreachable(error), request_id) from error
             if answer.status < 300:
-                return answer.data
+                return answer
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
                 continue
             raise self._failure(f"{method} {path}", answer, request_id)
 
     def _once(
-        self, method: str, url: str, query: list[tuple[str, str]] | None, content: bytes | None, request_id: str
+        self, method: str, target: str, content: bytes | None, request_id: str, whole: bool
     ) -> urllib3.BaseHTTPResponse:
         headers = {
             "Authorization": f"Bearer {self.endpoint.token}",
@@ -150,8 +169,7 @@ class Api:
         }
         if content is not None:
             headers["Content-Type"] = "application/json"
-        target = f"{url}?{urlencode(query)}" if query else url
-        return self._pool.request(method, target, body=content, headers=headers, redirect=False)
+        return self._pool.request(method, target, body=content, headers=headers, redirect=False, preload_content=whole)
 
     def _unreachable(self, error: urllib3.exceptions.HTTPError) -> ServerUnreachable:
         return ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))

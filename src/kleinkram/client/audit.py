@@ -1,11 +1,10 @@
 """The record of who did what, for programs."""
 
-import uuid
 from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import pages
-from kleinkram.contract.audit import AuditRead
+from kleinkram.contract.audit import AuditFilter, AuditRead
 
 
 class Audit:
@@ -14,14 +13,14 @@ class Audit:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(
-        self,
-        *,
-        noun: str | None = None,
-        noun_id: uuid.UUID | None = None,
-        project_id: uuid.UUID | None = None,
-        limit: int | None = None,
-    ) -> Iterator[AuditRead]:
-        """Yield what happened, latest first."""
-        query = query_of(None, noun=noun, noun_id=noun_id, project_id=project_id)
-        return pages(self._api, "/audit", AuditRead, query, limit=limit)
+    def list(self, matching: AuditFilter | None = None, *, limit: int | None = None) -> Iterator[AuditRead]:
+        """Yield the events that match, latest first."""
+        return pages(self._api, "/audit", AuditRead, query_of(matching), limit=limit)
+
+    def export(self, matching: AuditFilter | None = None) -> Iterator[AuditRead]:
+        """Yield all events that match, oldest first, as the server sends them: of any number, few in memory.
+
+        Raises:
+            ServerUnreachable: the connection broke; what was yielded is not all.
+        """
+        return self._api.stream("/audit/export", AuditRead, query_of(matching))

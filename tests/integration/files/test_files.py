@@ -114,9 +114,10 @@ def test_moves_to_another_mission_and_has_both_grouped_anew(api: Api, sample: Sa
     file_id = sample.file(mission, "a.mcap")
     moved = api.patch(f"/files/{file_id}", {"mission_id": target["id"], "path": "b.mcap"}).ok()
     assert (moved["mission"]["id"], moved["path"]) == (target["id"], "b.mcap")
-    (event,) = api.events(file_id)
-    assert event["after"]["mission"] == target["name"]
-    assert event["project_id"] == target["project"]["id"]
+    arrived, left = api.events(file_id)
+    assert (arrived["operation"], arrived["project_id"]) == ("file.arrive", target["project"]["id"])
+    assert (arrived["before"], arrived["after"]["mission"]) == ({"path": "a.mcap"}, target["name"])
+    assert (left["operation"], left["mission_id"], left["after"]) == ("file.leave", mission, {})
     jobs = api.sql("SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = 'group_recordings'")
     assert {mission, target["id"]} <= {ref for (ref,) in jobs}
 
@@ -159,7 +160,7 @@ def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sampl
         deleted = send(api.delete, f"/files/{file_id}")
     moved.result().ok()
     deleted.result().ok()
-    deletion, move = api.events(file_id)
+    deletion, move, _ = api.events(file_id)
     assert (deletion["operation"], deletion["before"]["mission"]) == ("file.delete", target["name"])
     assert move["after"] == {"mission": target["name"]}
     revisions = dict(api.sql("SELECT id::text, files_revision FROM mission WHERE project_id = %s", project))

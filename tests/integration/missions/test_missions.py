@@ -91,8 +91,14 @@ def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) 
     assert moved["project"]["id"] == target["id"]
     assert [one["field"] for one in moved["metadata_problems"]] == ["robot"]
     assert api.get(f"/files/{file_id}").ok()["mission"]["project"]["id"] == target["id"]
-    event, _ = api.events(made["id"])
-    assert (event["before"], event["after"]) == ({"project": source["name"]}, {"project": target["name"]})
+    arrived, left, _ = api.events(made["id"])
+    # Neither project's owners need know the other.
+    assert (left["operation"], left["project_id"], left["after"]) == ("mission.leave", source["id"], {})
+    assert (arrived["project_id"], arrived["before"], arrived["after"]) == (
+        target["id"],
+        {},
+        {"project": target["name"]},
+    )
     mended = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "robot: spot\n"}).ok()
     assert (mended["metadata"], mended["metadata_problems"]) == ({"robot": "spot"}, [])
 

@@ -1,26 +1,57 @@
 """What is asked of the record. Functions return selects; they touch no connection."""
 
-import uuid
+import datetime
 from typing import Any
 
-from sqlalchemy import Row, Select, select, union
+from sqlalchemy import ColumnElement, Integer, Row, Select, Uuid, bindparam, func, literal, select, union
 
-from kleinkram.contract.audit import AuditRead
+from kleinkram.contract.audit import AuditFilter, AuditRead, CredentialRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import trashed_projects, visible_projects
+from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import audit_event, person, project
+from kleinkram.server.search.globs import matches
+from kleinkram.server.tables import audit_event, mission, person, project, share, token
 
-# Latest first.
+# Latest first; an export is the other way round.
 AUDIT_ORDER = Order([audit_event.c.id], descending=True)
+
+
+def lacks_own_right(admin: Actor) -> ColumnElement[bool]:
+    """Say of an event that is written whether `admin` would have been refused it without their power.
+
+    Parameters: `own_project_id`, `own_mission_id`, and `own_needed`, the level that it took.
+    """
+    project_id = bindparam("own_project_id", type_=Uuid)
+    mission_id = bindparam("own_mission_id", type_=Uuid)
+    by_mission, by_project = _own_level_on_mission(admin, mission_id), _own_level_on_project(admin, project_id)
+    return func.coalesce(by_mission, by_project, literal(0)) < bindparam("own_needed", type_=Integer)
+
+
+def _own_level_on_mission(admin: Actor, mission_id: ColumnElement[Any]) -> ColumnElement[int]:
+    level = select(level_on_mission(admin.without_power())).select_from(mission.join(project))
+    return level.where(mission.c.id == mission_id).correlate(None).scalar_subquery()
+
+
+def _own_level_on_project(admin: Actor, project_id: ColumnElement[Any]) -> ColumnElement[int]:
+    level = select(level_on_project(admin.without_power())).select_from(project)
+    return level.where(project.c.id == project_id).correlate(None).scalar_subquery()
 
 
 def visible_events(actor: Actor) -> Select[Any]:
     """Return the events that `actor` may see: those of projects they own; admins see all."""
-    name = person.c.name.label("actor_name")
-    stmt = select(audit_event, name).outerjoin(person, person.c.id == audit_event.c.actor_id)
+    names = (
+        person.c.name.label("actor_name"),
+        token.c.name.label("token_name"),
+        share.c.name.label("share_name"),
+    )
+    stmt = (
+        select(audit_event, *names)
+        .outerjoin(person, person.c.id == audit_event.c.actor_id)
+        .outerjoin(token, token.c.id == audit_event.c.token_id)
+        .outerjoin(share, share.c.id == audit_event.c.share_id)
+    )
     if actor.is_admin and actor.limits is None:
         return stmt
     owned = union(
@@ -30,27 +61,56 @@ def visible_events(actor: Actor) -> Select[Any]:
     return stmt.where(audit_event.c.project_id.in_(owned))
 
 
-def events_about(
-    actor: Actor, *, noun: str | None, noun_id: uuid.UUID | None, project_id: uuid.UUID | None
-) -> Select[Any]:
-    """Return the visible events about what is given."""
+def matching_events(actor: Actor, matching: AuditFilter) -> Select[Any]:
+    """Return the visible events that match."""
+    same = {
+        audit_event.c.actor_id: matching.person_id,
+        audit_event.c.token_id: matching.token_id,
+        audit_event.c.share_id: matching.share_id,
+        audit_event.c.noun: matching.noun,
+        audit_event.c.noun_id: matching.noun_id,
+        audit_event.c.project_id: matching.project_id,
+        audit_event.c.mission_id: matching.mission_id,
+        audit_event.c.as_admin: matching.as_admin,
+    }
+    named = {audit_event.c.operation: matching.operation, person.c.name: matching.person, token.c.name: matching.token}
     stmt = visible_events(actor)
-    stmt = stmt if noun is None else stmt.where(audit_event.c.noun == noun)
-    stmt = stmt if noun_id is None else stmt.where(audit_event.c.noun_id == noun_id)
-    return stmt if project_id is None else stmt.where(audit_event.c.project_id == project_id)
+    stmt = stmt.where(*(column == value for column, value in same.items() if value is not None))
+    stmt = stmt.where(*(matches(column, glob) for column, glob in named.items() if glob is not None))
+    if matching.since is not None:
+        stmt = stmt.where(audit_event.c.at >= _aware(matching.since))
+    return stmt if matching.until is None else stmt.where(audit_event.c.at < _aware(matching.until))
 
 
-def to_event(row: Row[Any]) -> AuditRead:
-    """Return the event that a row stands for."""
+def events_after(actor: Actor, matching: AuditFilter, *, event_id: int, limit: int) -> Select[Any]:
+    """Return the visible events that match and came after another, oldest first."""
+    stmt = matching_events(actor, matching).where(audit_event.c.id > event_id)
+    return stmt.order_by(audit_event.c.id).limit(limit)
+
+
+def _aware(at: datetime.datetime) -> datetime.datetime:
+    return at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
+
+
+def to_event(row: Row[Any], actor: Actor) -> AuditRead:
+    """Return the event that a row stands for, as `actor` may see it."""
+    # Where a colleague works from is nobody's business; of somebody without a name it is all that is known.
+    is_open = actor.is_admin or row.actor_id is None or row.actor_id == actor.person_id
     return AuditRead(
         id=row.id,
         at=row.at,
         actor=PersonRef(id=row.actor_id, name=row.actor_name) if row.actor_id else None,
+        token=CredentialRef(id=row.token_id, name=row.token_name) if row.token_id else None,
+        share=CredentialRef(id=row.share_id, name=row.share_name or "") if row.share_id else None,
+        session_id=row.session_id if is_open else None,
+        address=row.address if is_open else None,
+        as_admin=row.as_admin,
         operation=row.operation,
         noun=row.noun,
         noun_id=row.noun_id,
         noun_name=row.noun_name,
         project_id=row.project_id,
+        mission_id=row.mission_id,
         before=row.before,
         after=row.after,
         request_id=row.request_id,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.metadata import Metadata
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import STRANGER, Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Database
 
@@ -34,6 +34,11 @@ class Refusal:
     def operation(self) -> str:
         """What the record calls it."""
         return "auth.refused" if self.actor is None else "access.denied"
+
+    @property
+    def who(self) -> Actor:
+        """Whoever it was."""
+        return self.actor or STRANGER.asking("", request_id=self.request_id, address=self.address)
 
 
 class Refusals:
@@ -64,12 +69,12 @@ class Refusals:
         if not self.admits(time.monotonic()):
             return
         left_out = self.left_out()
-        after: Metadata = {**refusal.why, "address": refusal.address}
+        after: Metadata = {**refusal.why}
         if left_out:
             after["left_out_before"] = left_out
         event = Event(refusal.operation, "request", None, refusal.place, None, after=after)
         try:
             async with database.begin() as db:
-                await record(db, refusal.actor, event, request_id=refusal.request_id)
+                await record(db, refusal.who, event)
         except DatabaseUnavailable:
             _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})

@@ -1,29 +1,25 @@
 """The record over HTTP: it can be read, and nothing else."""
 
-import uuid
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict
+from fastapi.responses import StreamingResponse
 
-from kleinkram.contract.audit import AuditRead
-from kleinkram.contract.names import Term
+from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.audit import service
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, Transaction
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
 
+_JSON_LINES = "application/jsonl"
 
-class AuditListQuery(BaseModel):
+
+class AuditListQuery(AuditFilter):
     """The query of a list of events."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    noun: Term | None = None
-    noun_id: uuid.UUID | None = None
-    project_id: uuid.UUID | None = None
     limit: PageSize = 100
     cursor: Cursor | None = None
 
@@ -33,7 +29,22 @@ async def list_audit_events(
     query: Annotated[AuditListQuery, Query()], db: Transaction, actor: CurrentActor
 ) -> Page[AuditRead]:
     """List what happened, latest first."""
-    page = PageRequest(query.limit, query.cursor)
-    return await service.list_events(
-        db, actor, page=page, noun=query.noun, noun_id=query.noun_id, project_id=query.project_id
-    )
+    return await service.list_events(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
+
+
+@router.get(
+    "/export",
+    operation_id="export_audit_events",
+    response_class=StreamingResponse,
+    responses={200: {"description": "One event a line.", "content": {_JSON_LINES: {"schema": {"type": "string"}}}}},
+)
+async def export_audit_events(
+    query: Annotated[AuditFilter, Query()], database: CurrentDatabase, actor: CurrentActor
+) -> StreamingResponse:
+    """Give all events that match, oldest first, one JSON object a line."""
+
+    async def lines() -> AsyncIterator[str]:
+        async for event in service.export_events(database, actor, matching=query):
+            yield event.model_dump_json() + "\n"
+
+    return StreamingResponse(lines(), media_type=_JSON_LINES)

@@ -1,24 +1,35 @@
 """Writing the record, and reading it."""
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 
-from sqlalchemy import insert
+from sqlalchemy import false, insert
 
-from kleinkram.contract.audit import AuditRead
+from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.audit import queries
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, Database
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
+
+_AT_ONCE = 500
+_NO_RIGHT = 0
+# More than anybody holds: what only admins may do.
+_POWER = Right.delete.level + 1
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to one thing: `operation` is `<noun>.<verb>`; before and after hold only what changed."""
+    """What happened to one thing: `operation` is `<noun>.<verb>`; before and after hold only what changed.
+
+    `takes` is the row of the table of operations whose right it took here, where that is not the request's own.
+    `by_power` says that only an admin could do it, where that is no question of a right on project or mission.
+    """
 
     operation: str
     noun: str
@@ -27,49 +38,82 @@ class Event:
     project_id: uuid.UUID | None
     before: Metadata = field(default_factory=dict)
     after: Metadata = field(default_factory=dict)
+    mission_id: uuid.UUID | None = None
+    takes: str | None = None
+    by_power: bool = False
 
 
-async def record(db: Connection, actor: Actor | None, *events: Event, request_id: str | None = None) -> None:
-    """Add events to the record, as part of the caller's transaction.
+async def record(db: Connection, actor: Actor | None, *events: Event) -> None:
+    """Add events to the record, as part of the caller's transaction; `actor` is None for the server's own jobs.
 
-    `actor` is None for the server's own jobs, and where nobody knows who asked: then `request_id` is the request's.
+    Where nobody knows who asked, it is a stranger (`STRANGER.asking(...)`), so that request and address are kept.
     """
-    await record_all(db, actor, events, request_id=request_id)
+    await record_all(db, actor, events)
 
 
-async def record_all(
-    db: Connection, actor: Actor | None, events: Sequence[Event], *, request_id: str | None = None
-) -> None:
-    """Add many events to the record, as part of the caller's transaction."""
+async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event]) -> None:
+    """Add many events to the record, as part of the caller's transaction.
+
+    What an admin did is marked where they could not have done it by their own rights, as these are when it is recorded.
+    """
     if not events:
         return
-    who: dict[str, object] = {"request_id": request_id}
-    if actor is not None:
-        who = {
-            "actor_id": actor.person_id,
-            "token_id": actor.token_id,
-            "session_id": actor.session_id,
-            "share_id": actor.share_id,
-            "address": actor.address,
-            "request_id": actor.request_id,
-        }
-    await db.execute(insert(audit_event), [{**vars(event), **who} for event in events])
+    marked = queries.lacks_own_right(actor) if actor is not None and actor.is_admin else false()
+    await db.execute(insert(audit_event).values(as_admin=marked), [_values(actor, event) for event in events])
 
 
-async def list_events(
-    db: Connection,
-    actor: Actor,
-    *,
-    page: PageRequest,
-    noun: str | None = None,
-    noun_id: uuid.UUID | None = None,
-    project_id: uuid.UUID | None = None,
-) -> Page[AuditRead]:
-    """Return a page of events, latest first.
+def _values(actor: Actor | None, event: Event) -> dict[str, object]:
+    values: dict[str, object] = {name: value for name, value in vars(event).items() if name in audit_event.c}
+    if actor is None:
+        return values
+    who: dict[str, object] = {
+        "actor_id": actor.person_id,
+        "token_id": actor.token_id,
+        "session_id": actor.session_id,
+        "share_id": actor.share_id,
+        "address": actor.address,
+        "request_id": actor.request_id,
+    }
+    if actor.is_admin:
+        who |= {"own_project_id": event.project_id, "own_mission_id": event.mission_id}
+        who["own_needed"] = _needed(actor, event)
+    return values | who
+
+
+def _needed(actor: Actor, event: Event) -> int:
+    """Return the level that an event took on its place."""
+    operation = event.takes or actor.operation
+    need = None if operation is None else OPERATIONS[operation]
+    if event.by_power or (need is not None and need.on is On.server):
+        return _POWER
+    if need is None:
+        return Right.delete.level  # nobody said what it took: no less is enough
+    return _NO_RIGHT if need.right is None else need.right.level
+
+
+async def list_events(db: Connection, actor: Actor, *, matching: AuditFilter, page: PageRequest) -> Page[AuditRead]:
+    """Return a page of the events that match, latest first.
 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    statement = queries.events_about(actor, noun=noun, noun_id=noun_id, project_id=project_id)
-    rows = await fetch_page(db, statement, queries.AUDIT_ORDER, page)
-    return Page(items=[queries.to_event(row) for row in rows.items], next=rows.next, total=rows.total)
+    rows = await fetch_page(db, queries.matching_events(actor, matching), queries.AUDIT_ORDER, page)
+    return Page(items=[queries.to_event(row, actor) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def export_events(database: Database, actor: Actor, *, matching: AuditFilter) -> AsyncIterator[AuditRead]:
+    """Yield the events that match, oldest first, `_AT_ONCE` in memory.
+
+    Each portion is read in a transaction of its own, so that a slow reader holds no connection. What is recorded
+    meanwhile may or may not be among them.
+    """
+    last = 0
+    while True:
+        async with database.begin() as db:
+            statement = queries.events_after(actor, matching, event_id=last, limit=_AT_ONCE)
+            rows = (await db.execute(statement)).all()
+        for row in rows:
+            yield queries.to_event(row, actor)
+        if len(rows) < _AT_ONCE:
+            return
+        last = rows[-1].id

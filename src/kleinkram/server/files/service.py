@@ -108,8 +108,7 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
         return queries.to_file(old)
     await db.execute(queries.change_file(file_id, **values))
     new = await _row(db, actor, file_id)
-    before, after = _changed(old, new)
-    await record(db, actor, Event("file.update", "file", file_id, new.path, new.project_id, before, after))
+    await record_all(db, actor, _changes(old, new))
     return queries.to_file(new)
 
 
@@ -123,13 +122,13 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         Forbidden: they may see it, but not delete it.
     """
     row = await (_row if dry_run else _locked_row)(db, actor, file_id)
-    if not (await db.execute(queries.own_fresh_file(actor, file_id))).first():
-        await require_mission(db, actor, "delete_file", row.mission_id)
+    takes = "begin_uploads" if (await db.execute(queries.own_fresh_file(actor, file_id))).first() else "delete_file"
+    await require_mission(db, actor, takes, row.mission_id)
     if not dry_run:
         await regroup(db, row.mission_id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": row.path, "mission": row.mission_name}
-        await record(db, actor, Event("file.delete", "file", file_id, row.path, row.project_id, before))
+        await record(db, actor, _event("file.delete", row, before, takes=takes))
     return Deleted(missions=0, files=1, size_bytes=row.size_bytes, dry_run=dry_run)
 
 
@@ -184,8 +183,7 @@ async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID])
         for row in rows:
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
-        events = [Event("file.download", "file", row.id, row.path, row.project_id) for row in rows]
-        await record_all(db, actor, events)
+        await record_all(db, actor, [_event("file.download", row) for row in rows])
     return [_link(site, row) for row in rows]
 
 
@@ -197,7 +195,7 @@ async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fil
     """
     row = await _row(db, actor, file_id)
     await prove_again(db, row.blob_id)
-    await record(db, actor, Event("file.prove", "file", file_id, row.path, row.project_id))
+    await record(db, actor, _event("file.prove", row))
     return queries.to_file(row)
 
 
@@ -230,6 +228,29 @@ async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id
     await check_path_free(db, mission_id, path, except_id=old.id)
     for each in sorted({old.mission_id, mission_id}):
         await regroup(db, each)
+
+
+def _event(
+    operation: str,
+    row: Row[Any],
+    before: Metadata | None = None,
+    after: Metadata | None = None,
+    *,
+    takes: str | None = None,
+) -> Event:
+    return Event(operation, "file", row.id, row.path, row.project_id, before or {}, after or {}, row.mission_id, takes)
+
+
+def _changes(old: Row[Any], new: Row[Any]) -> list[Event]:
+    """Return what the record says of a change. Of a move between projects, neither names the other to its owners."""
+    before, after = _changed(old, new)
+    if old.mission_id == new.mission_id:
+        return [_event("file.update", new, before, after)]
+    left: Metadata = {"path": old.path, "mission": old.mission_name}
+    if old.project_id != new.project_id:
+        before = {name: value for name, value in before.items() if name not in {"mission", "project"}}
+    came = _event("file.arrive", new, before, after, takes="begin_uploads")
+    return [_event("file.leave", old, left, takes="move_file"), came]
 
 
 def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:

@@ -132,7 +132,8 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         raise _name_taken(error, wanted.name) from error
     made = await get_mission(db, actor, mission_id)
     after: Metadata = {"name": made.name, "metadata": made.metadata}
-    await record(db, actor, Event("mission.create", "mission", mission_id, made.name, project_id, after=after))
+    event = Event("mission.create", "mission", mission_id, made.name, project_id, after=after, mission_id=mission_id)
+    await record(db, actor, event)
     return made
 
 
@@ -163,7 +164,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     new = await get_mission(db, actor, mission_id)
     differing = [name for name in _AUDITED if _said(old, name) != _said(new, name)]
     before, after = ({name: _said(each, name) for name in differing} for each in (old, new))
-    await record(db, actor, Event("mission.update", "mission", mission_id, new.name, new.project.id, before, after))
+    await record(db, actor, *_moved(old, new, before, after) if "project" in after else _updated(new, before, after))
     return new
 
 
@@ -182,7 +183,8 @@ async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     if not dry_run:
         await db.execute(queries.change_mission(mission_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"name": row.name, "project": row.project_name}
-        await record(db, actor, Event("mission.delete", "mission", mission_id, row.name, row.project_id, before))
+        event = Event("mission.delete", "mission", mission_id, row.name, row.project_id, before, mission_id=mission_id)
+        await record(db, actor, event)
     return Deleted(missions=1, files=files, size_bytes=int(size_bytes), dry_run=dry_run)
 
 
@@ -223,6 +225,21 @@ async def _see_that_it_may_change(db: Connection, actor: Actor, old: MissionRead
         await require_project(db, actor, "create_mission", changes.project_id)
     else:
         await require_mission(db, actor, "update_mission", old.id)
+
+
+def _updated(new: MissionRead, before: Metadata, after: Metadata) -> list[Event]:
+    return [Event("mission.update", "mission", new.id, new.name, new.project.id, before, after, mission_id=new.id)]
+
+
+def _moved(old: MissionRead, new: MissionRead, before: Metadata, after: Metadata) -> list[Event]:
+    """Return what the record of each of two projects says of a move; neither names the other to its owners."""
+    left: Metadata = {"name": old.name}
+    before = {name: value for name, value in before.items() if name != "project"}
+    came = Event("mission.arrive", "mission", new.id, new.name, new.project.id, before, after, new.id, "create_mission")
+    return [
+        Event("mission.leave", "mission", old.id, old.name, old.project.id, left, {}, None, "move_mission"),
+        came,
+    ]
 
 
 _AUDITED = ("name", "project", "metadata", "notes", "completed_at")

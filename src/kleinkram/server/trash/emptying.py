@@ -8,7 +8,7 @@ import datetime
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, Table, delete, exists, func, select, update
+from sqlalchemy import ColumnElement, Row, Select, Table, delete, exists, func, null, select, update
 
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.audit.service import Event, record_all
@@ -25,15 +25,22 @@ async def empty_trash(db: Connection, *, older_than_days: int, limit: int) -> No
     before = func.now() - datetime.timedelta(days=older_than_days)
     in_due_mission = (mission.c.deleted_at < before) | (project.c.deleted_at < before)
     await _drop_uploads(db, in_due_mission, limit)
-    files = select(file.c.id, file.c.path.label("name"), mission.c.project_id).join_from(file, mission).join(project)
+    files = (
+        select(file.c.id, file.c.path.label("name"), file.c.mission_id, mission.c.project_id)
+        .join_from(file, mission)
+        .join(project)
+    )
     # A file deleted by itself may lie in a mission where people are at work: then only the file is held.
     await _drop(db, file, await _locked(db, files.where(file.c.deleted_at < before), limit, file))
     await _drop(db, file, await _locked(db, files.where(in_due_mission), limit, file, mission, project))
-    missions = select(mission.c.id, mission.c.name, mission.c.project_id).join_from(mission, project)
+    missions = select(mission.c.id, mission.c.name, mission.c.id.label("mission_id"), mission.c.project_id).join_from(
+        mission, project
+    )
     empty = ~(_any(file.c.mission_id == mission.c.id) | _any(upload.c.mission_id == mission.c.id))
     rows = await _locked(db, missions.where(in_due_mission, empty), limit, mission, project)
     await _drop(db, mission, rows, empty)
-    projects = select(project.c.id, project.c.name, project.c.id.label("project_id"))
+    nowhere = null().label("mission_id")
+    projects = select(project.c.id, project.c.name, nowhere, project.c.id.label("project_id"))
     empty = ~_any(mission.c.project_id == project.c.id)
     await _drop(
         db, project, await _locked(db, projects.where(project.c.deleted_at < before, empty), limit, project), empty
@@ -64,5 +71,9 @@ async def _drop(db: Connection, table: Table, rows: Sequence[Row[Any]], *still: 
     statement = delete(table).where(table.c.id.in_([row.id for row in rows]), *still).returning(table.c.id)
     gone = set((await db.execute(statement)).scalars())
     noun = table.name
-    events = [Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id) for row in rows if row.id in gone]
+    events = [
+        Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
+        for row in rows
+        if row.id in gone
+    ]
     await record_all(db, None, events)

@@ -66,7 +66,8 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
     row = await _found(db, found, TrashNoun.mission, mission_id)
     _refuse_without_parent("project", row.project_name, row.project_deleted_at)
     await _undelete(db, mission, row, name=row.name)
-    await record(db, actor, Event("mission.restore", "mission", mission_id, row.name, row.project_id))
+    event = Event("mission.restore", "mission", mission_id, row.name, row.project_id, mission_id=mission_id)
+    await record(db, actor, event)
 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
@@ -79,7 +80,8 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     await check_path_free(db, row.mission_id, row.path)
     await regroup(db, row.mission_id)
     await _undelete(db, file, row, name=row.path)
-    await record(db, actor, Event("file.restore", "file", file_id, row.path, row.project_id))
+    event = Event("file.restore", "file", file_id, row.path, row.project_id, mission_id=row.mission_id)
+    await record(db, actor, event)
 
 
 async def _found(db: Connection, statement: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> Row[Any]:

@@ -225,6 +225,7 @@ async def _insert(
                 row.path,
                 project_id,
                 after={"size_bytes": row.size_bytes, "sha256": row.sha256.hex()},
+                mission_id=mission_id,
             )
             for row in rows
         ],
@@ -300,6 +301,6 @@ async def _settle_for(site: Site, row: Row[Any]) -> None:
     if actor is None:
         return
     try:
-        await settle(site, actor, [row])
+        await settle(site, actor.asking("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # one that cannot be finished yet does not hold up the others
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})

@@ -199,6 +199,7 @@ async def _link_twins(
             d.wanted.path,
             mission.project_id,
             after={"sha256": d.wanted.sha256},
+            mission_id=mission_id,
         )
         for d in linked
     ]

@@ -1,0 +1,135 @@
+"""Finding events: by person, credential, object, place, operation and time, as pages and as an export."""
+
+import datetime
+import json
+import uuid
+from typing import Any
+
+import pytest
+import urllib3
+
+from kleinkram.contract.audit import AuditRead
+from kleinkram.contract.rights import Right
+from tests.integration import people
+from tests.integration.running import Answer, Api
+from tests.integration.sample import Sample
+
+Lab = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def lab(api: Api, sample: Sample) -> Lab:
+    """A project of the owner's, where somebody else with CREATE made a mission, and fetched a file by a token."""
+    project = api.project()["id"]
+    guest = people.person(api)
+    people.grant(api, guest, Right.create, project_id=project)
+    mission = api.as_(guest.token).mission(project)["id"]
+    file_id = sample.file(mission, "a.mcap")
+    robot = people.token(api, guest)
+    api.as_(robot.secret).post("/files/download", {"file_ids": [file_id]}).ok()
+    return {"project": project, "mission": mission, "file": file_id, "guest": guest, "robot": robot}
+
+
+def _operations(answer: Answer) -> list[str]:
+    return [event["operation"] for event in answer.ok()["items"]]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [
+        ({}, ["file.download", "mission.create", "project.create"]),
+        ({"person_id": "guest"}, ["file.download", "mission.create"]),
+        ({"person": "guest"}, ["file.download", "mission.create"]),
+        ({"person": "owner"}, ["project.create"]),
+        ({"token_id": "robot"}, ["file.download"]),
+        ({"token": "local own*"}, ["project.create"]),
+        ({"noun": "file"}, ["file.download"]),
+        ({"noun_id": "mission"}, ["mission.create"]),
+        ({"mission_id": "mission"}, ["file.download", "mission.create"]),
+        ({"operation": "*.create"}, ["mission.create", "project.create"]),
+        ({"operation": "mission_create"}, []),
+        ({"as_admin": "true"}, []),
+        ({"as_admin": "false"}, ["file.download", "mission.create", "project.create"]),
+        ({"share_id": str(uuid.uuid4())}, []),
+    ],
+)
+def test_narrows(api: Api, lab: Lab, wanted: dict[str, str], found: list[str]) -> None:
+    ids = {"mission": lab["mission"], "robot": lab["robot"].id, "guest": lab["guest"].id}
+    query = {name: ids.get(value, value) for name, value in wanted.items()}
+    if wanted.get("person") == "guest":
+        query["person"] = lab["guest"].name
+    assert _operations(api.get("/audit", {"project_id": lab["project"], **query})) == found
+
+
+def test_narrows_by_time_from_inclusive_to_exclusive(api: Api, lab: Lab) -> None:
+    within = {"project_id": lab["project"]}
+    latest, made, first = api.get("/audit", within).ok()["items"]
+    assert _operations(api.get("/audit", {**within, "since": made["at"]})) == ["file.download", "mission.create"]
+    assert _operations(api.get("/audit", {**within, "until": made["at"]})) == ["project.create"]
+    assert _operations(api.get("/audit", {**within, "since": made["at"], "until": latest["at"]})) == ["mission.create"]
+    at = datetime.datetime.fromisoformat(first["at"].replace("Z", "+00:00")) + datetime.timedelta(microseconds=1)
+    naive = at.astimezone(datetime.timezone.utc).replace(tzinfo=None).isoformat()
+    assert len(_operations(api.get("/audit", {**within, "since": naive}))) == 2
+    api.get("/audit", {"since": "yesterday"}).refused(422, "invalid_request")
+
+
+def test_says_with_what_it_was_done_and_where(api: Api, lab: Lab) -> None:
+    (event,) = api.get("/audit", {"project_id": lab["project"], "token_id": lab["robot"].id}).ok()["items"]
+    assert event["actor"] == {"id": lab["guest"].id, "name": lab["guest"].name}
+    assert event["token"]["id"] == lab["robot"].id
+    assert (event["address"], event["session_id"], event["share"]) == ("127.0.0.1", None, None)
+    assert (event["mission_id"], event["project_id"]) == (lab["mission"], lab["project"])
+
+
+def test_a_link_is_told_apart_and_owners_see_from_where_it_was_used(api: Api, sample: Sample) -> None:
+    project = api.project()["id"]
+    mission = api.mission(project)["id"]
+    link, owner = people.share(api, mission), people.person(api)
+    people.grant(api, owner, Right.delete, project_id=project)
+    api.as_(link.secret).post("/files/download", {"file_ids": [sample.file(mission, "a.mcap")]}).ok()
+    (event,) = api.as_(owner.token).get("/audit", {"share_id": link.id}).ok()["items"]
+    assert (event["actor"], event["token"], event["share"]["id"]) == (None, None, link.id)
+    assert event["address"] == "127.0.0.1"
+    api.sql("DELETE FROM share WHERE id = %s", link.id)
+    (event,) = api.get("/audit", {"share_id": link.id}).ok()["items"]
+    assert event["share"] == {"id": link.id, "name": ""}
+
+
+def test_owners_see_their_projects_and_not_where_colleagues_work_from(api: Api, lab: Lab) -> None:
+    other = api.project()["id"]
+    owner, reader = people.person(api), people.person(api)
+    people.grant(api, owner, Right.delete, project_id=lab["project"])
+    people.grant(api, reader, Right.write, project_id=lab["project"])
+    seen = api.as_(owner.token).all("/audit")
+    assert {event["project_id"] for event in seen} == {lab["project"]}
+    assert [event["operation"] for event in seen] == ["file.download", "mission.create", "project.create"]
+    assert {event["address"] for event in seen} == {None}
+    api.as_(owner.token).mission(lab["project"])
+    own = api.as_(owner.token).get("/audit", {"person_id": owner.id}).ok()["items"]
+    assert [event["address"] for event in own] == ["127.0.0.1"]
+    assert api.as_(owner.token).all("/audit", {"project_id": other}) == []
+    assert api.as_(reader.token).all("/audit") == []
+    assert api.as_(reader.token).all("/audit", {"noun_id": lab["mission"]}) == []
+    api.as_(None).get("/audit").refused(401, "not_authenticated")
+
+
+def _export(api: Api, token: str | None, query: dict[str, str]) -> tuple[urllib3.BaseHTTPResponse, list[AuditRead]]:
+    answer = urllib3.request(
+        "GET", f"{api.url}/api/v1/audit/export", fields=query, headers={"Authorization": f"Bearer {token}"}
+    )
+    return answer, [AuditRead.model_validate_json(line) for line in answer.data.splitlines() if answer.status == 200]
+
+
+def test_exports_what_a_list_shows_the_other_way_round(api: Api, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kleinkram.server.audit.service._AT_ONCE", 2)
+    query = {"project_id": lab["project"]}
+    answer, events = _export(api, api.token, query)
+    assert answer.headers["content-type"] == "application/jsonl"
+    assert [json.loads(event.model_dump_json()) for event in reversed(events)] == api.all("/audit", query)
+
+
+def test_an_export_holds_no_connection_and_shows_no_more_than_a_list(api: Api, lab: Lab) -> None:
+    reader = people.person(api)
+    assert _export(api, reader.token, {})[1] == []
+    assert _export(api, None, {})[0].status == 401
+    assert _export(api, api.token, {"colour": "red"})[0].status == 422
