@@ -6,7 +6,16 @@ from pathlib import Path
 from kleinkram.cli.render import details, escape, line, table
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.recordings.inspect import Inspection
-from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.model import (
+    Content,
+    Depth,
+    Fact,
+    Lost,
+    Problem,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+)
 
 _WORDS = {
     Content.indexed: "whole",
@@ -58,6 +67,8 @@ def _lost(summary: RecordingSummary) -> str | None:
     lost = summary.lost
     if lost is None:
         return None
+    if lost == Lost(0, 0, 0):
+        return "nothing"
     # A database has pages where others have chunks.
     piece = "page" if summary.format is RecordingFormat.rosbag2_db3 else "chunk"
     parts = [f"{lost.messages} messages" if lost.messages is not None else "messages, nobody knows how many"]

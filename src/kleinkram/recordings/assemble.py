@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import NamedTuple
@@ -148,11 +149,27 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
     return gathered(problems)
 
 
+def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
+    """Say which publishers have several channels of one topic and type; what is not named counts as nobody's.
+
+    `channels`: topic, type and publisher of each.
+    """
+    counts = Counter(channel for channel in channels if channel[2])
+    problems = []
+    for (topic, _, publisher), count in sorted(counts.items()):
+        if count > 1:
+            message = f"{publisher} has {count} channels of it with the same type: its messages may be there twice"
+            problems.append(Problem("doubled-channel", topic, message))
+    return gathered(problems)
+
+
 def tell_readable(messages: int, lost: Lost | None) -> str:
     """Say what can be read of a damaged file, and what is lost."""
     readable = f"{messages} messages can be read" if messages != 1 else "1 message can be read"
     if lost is None:
         return readable
+    if lost == Lost(0, 0, 0):
+        return f"{readable}; nothing is lost"
     parts = [f"{lost.bytes} bytes"]
     if lost.chunks:
         parts.insert(0, f"{lost.chunks} chunks" if lost.chunks > 1 else "1 chunk")

@@ -14,6 +14,7 @@ from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.stream import ForwardStream, Refill
 from kleinkram.recordings.zstd_frames import ZstdFrames
 
+_LEAST_ZEROS = 64
 Buffer = bytes | memoryview
 ReadUpTo = Callable[[int], bytes]
 
@@ -65,6 +66,14 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
         return _beginning_of(open_decompressed(name, lambda _: pieces.pop() if pieces else b"", uncompressed_bytes))
     except Malformed:
         return b""
+
+
+def without_zero_tail(name: str, stored: bytes) -> bytes | None:
+    """Return compressed data without the zeros at their end; None if they do not end in so many that a disk must have
+    lost them.
+    """
+    kept = stored.rstrip(b"\0")
+    return kept if name not in ("", "none") and len(stored) - len(kept) >= _LEAST_ZEROS else None
 
 
 def _beginning_of(stream: ForwardStream) -> bytes:
@@ -176,6 +185,8 @@ def _lz4(read: ReadUpTo) -> Refill:
                 raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
             if piece:
                 return piece
+        if decompressor.unused_data or read(1):
+            raise Malformed("chunk", "its data do not end where it ends")
         return b""
 
     return refill
@@ -195,6 +206,8 @@ def _bz2(read: ReadUpTo) -> Refill:
                 raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
             if piece:
                 return piece
+        if decompressor.unused_data or read(1):
+            raise Malformed("chunk", "its data do not end where it ends")
         return b""
 
     return refill

@@ -49,6 +49,13 @@ MAX_SCAN_BYTES = 16 * 2**30
 MAX_ZSTD_WINDOW = 2**26
 """Memory that a zstd frame may demand of its reader."""
 
+FREE_UNPACKED = 4 * 2**30
+"""Bytes that the chunks of a file may unpack to whatever its size, and"""
+
+MAX_EXPANSION = 200
+"""times as many as stand in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
+so that a scan costs about the file."""
+
 MAX_PROBLEMS = 50
 """Problems that a summary lists; the last one then says how many were left out."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_DAMAGE, MAX_PROBLEMS
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
 from kleinkram.recordings.model import Lost, Problem
 
 _FREE_VAIN_BYTES = 256 * 2**20
@@ -22,6 +22,7 @@ class Losses:
         messages: lost ones, as far as the indexes behind damaged chunks say.
         messages_are_known: those account for all that is lost.
         unproven: messages that were saved out of a chunk whose checksum is missing with its end.
+        unpacked_bytes: that came out of compressed chunks.
         vain_bytes: of records that were read, led nowhere, and were searched through.
     """
 
@@ -33,6 +34,19 @@ class Losses:
     messages_are_known: bool = True
     unproven: int = 0
     vain_bytes: int = 0
+    unpacked_bytes: int = 0
+
+    def unpack(self, uncompressed: int, *, end: int) -> None:
+        """Count what a compressed chunk, which ends at a place in the file, unpacks to.
+
+        Raises:
+            Malformed: with it, the file would unpack to more than any recording does.
+        """
+        most = FREE_UNPACKED + MAX_EXPANSION * end
+        if self.unpacked_bytes + uncompressed > most:
+            message = f"it is left packed: with its {uncompressed} bytes, the file would unpack to more than {most}"
+            raise Malformed("chunk", message, certain=False)
+        self.unpacked_bytes += uncompressed
 
     def is_patience_spent(self, position: int) -> bool:
         """Say whether so much was read in vain, up to a place in the file, that no honest damage explains it.
@@ -59,10 +73,8 @@ class Losses:
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
 
-    def total(self, *, claimed: int | None, found: int) -> Lost | None:
-        """Return what is lost; None for nothing. `claimed`: messages that the file should hold, if it says so."""
-        if not (self.bytes or self.chunks or self.messages):
-            return None
+    def total(self, *, claimed: int | None, found: int) -> Lost:
+        """Return what is lost, which may be nothing. `claimed`: messages that the file should hold, if it says so."""
         messages = self.messages if self.messages_are_known else None
         if claimed is not None and claimed >= found:
             messages = claimed - found

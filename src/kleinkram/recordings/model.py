@@ -143,7 +143,8 @@ class RecordingSummary:
         profile: the MCAP profile, such as "ros2".
         bytes_read: what this summary cost.
         depth: whether every byte was read.
-        lost: what of a damaged file could not be read; None where nothing is known to be lost.
+        lost: what of a damaged file could not be read: always there if `content` is `recovered`, and three zeros where
+            nothing of what the file holds or names is lost; None for a whole file, or where it was not measured.
         facts: what else the file says of itself; names of attachments and metadata, and what is cheap to tell of
             formats that are no recordings.
     """

@@ -26,6 +26,10 @@ class Cut(Malformed):
     """The bytes end before the thing that is being read does."""
 
 
+class Undecompressed(Malformed):
+    """What a chunk holds does not come out of it: its data are damaged, or not all there."""
+
+
 class ForwardStream:
     """Bytes in order: take some, skip some.
 
@@ -194,6 +198,11 @@ class Lookahead:
         """Bytes from here to the end of the file."""
         return self.size_bytes - self._window_start - self.at
 
+    @property
+    def seen(self) -> int:
+        """Bytes that were brought into the window so far."""
+        return self._window_start + len(self.window)
+
     def ahead(self, length: int) -> int:
         """Bring the next `length` bytes into the window, or what is left; return how many those are.
 
@@ -247,15 +256,17 @@ class Lookahead:
         if need + _STEP > len(self._buffer):
             self._buffer = memoryview(bytearray(need + _STEP))
         self._buffer[:have] = rest
-        while have < need:
-            piece = self._forward.read(_STEP)
-            if not piece:
-                raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
-            self._buffer[have : have + len(piece)] = piece
-            have += len(piece)
-        self._window_start += self.at
-        self.window = self._buffer[:have]
-        self.at = self._hashed = 0
+        try:
+            while have < need:
+                piece = self._forward.read(_STEP)
+                if not piece:
+                    raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
+                self._buffer[have : have + len(piece)] = piece
+                have += len(piece)
+        finally:  # what came before an error is at hand
+            self._window_start += self.at
+            self.window = self._buffer[:have]
+            self.at = self._hashed = 0
 
 
 class Decompressed:
@@ -267,14 +278,32 @@ class Decompressed:
     def __init__(self, stream: ForwardStream, size_bytes: int) -> None:
         self.size_bytes = size_bytes
         self._stream = stream
+        self._damage: Undecompressed | None = None
 
     def read(self, length: int) -> bytes:
         """Return the next bytes.
 
         Raises:
-            Malformed: they are damaged, or end before `size_bytes`.
+            Undecompressed: they are damaged, or end before `size_bytes`.
         """
-        piece = self._stream.take_some(length)
+        piece = self._take(length)
         if not piece:
-            raise Malformed("chunk", f"{self.size_bytes} bytes are claimed, {self._stream.position} came out")
+            raise Undecompressed("chunk", f"{self.size_bytes} bytes are claimed, {self._stream.position} came out")
         return piece
+
+    def finish(self) -> None:
+        """State that all was read, so that what ends the data is checked, too.
+
+        Raises:
+            Undecompressed: that is damaged, or more follows.
+        """
+        if self._take(1):
+            raise Undecompressed("chunk", f"more than the {self.size_bytes} bytes that it claims to hold")
+
+    def _take(self, length: int) -> bytes:
+        if self._damage is None:
+            try:
+                return self._stream.take_some(length)
+            except Malformed as error:
+                self._damage = Undecompressed(error.where, error.message, certain=error.certain)
+        raise self._damage  # again and again: what a decompressor says behind damage means nothing

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from operator import sub
 from typing import Protocol
@@ -86,6 +86,20 @@ class Tally:
         self.messages = 0
         self._topics: dict[int, str] = {}
         self.lateness: dict[str, Lateness] = {}
+
+    def fork(self) -> Tally:
+        """Return a copy: what is added to one is not in the other."""
+        fork = Tally(with_publish_times=self._with_publish_times)
+        fork.timeline = self.timeline.fork()
+        fork.messages = self.messages
+        fork._topics = dict(self._topics)
+        fork.lateness = {topic: replace(late, sample=late.sample[:]) for topic, late in self.lateness.items()}
+        return fork
+
+    def adopt(self, fork: Tally) -> None:
+        """Become what a copy of this one has become."""
+        self.timeline, self.messages = fork.timeline, fork.messages
+        self._topics, self.lateness = fork._topics, fork.lateness
 
     def learn(self, channels: Mapping[int, HasTopic]) -> None:
         """State the topics of all channels that are known by now. `channels` may only grow: what it had is not looked

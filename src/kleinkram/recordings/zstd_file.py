@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 import zstandard
 
 from kleinkram.recordings.forward import Forward, SourceForward
-from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import LONG_HEAD_BYTES, RECORDINGS, sniff_head
@@ -91,12 +91,14 @@ def scan_zstd_file(forward: Forward, scan: Scan, *, most_bytes: int = MAX_SPOOL_
     """Read a file that is compressed as a whole; `scan` reads what is inside, under its name without `.zstd`.
 
     `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
-    `recovered` as far as it unpacks; one that unpacks to more than `most_bytes` is `pending`.
+    `recovered` as far as it unpacks; one that unpacks to more than `most_bytes`, or
+    than any recording does, is `pending`.
 
     Raises:
         SourceError: as `Forward.read`, or the unpacked copy cannot be written.
     """
     unpacking = _Unpacking(forward)
+    most_bytes = min(most_bytes, FREE_UNPACKED + MAX_EXPANSION * forward.size_bytes)
     kind = sniff_head(unpacking.peek(LONG_HEAD_BYTES))
     if kind not in RECORDINGS:
         return _not_a_recording(kind, unpacking)

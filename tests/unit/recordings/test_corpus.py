@@ -32,6 +32,8 @@ FORMATS = {
     "empty file": (RecordingFormat.empty, Content.broken),
 }
 LOST = {
+    "broken/unindexed.bag": (0, 0),
+    "derived/magic_only.mcap": (0, 0),
     "broken/truncated.bag": (1, None),
     "broken/truncated.mcap": (0, None),
     "derived/auv_zstd_bitflip_chunk2.mcap": (1, 1328),
@@ -39,7 +41,7 @@ LOST = {
     "derived/auv_zstd_zero_tail.mcap": (0, None),
     "derived/cut_turtlesim_none.bag": (1, None),
 }
-"""Of the broken files that lost something: chunks, and messages where the file tells."""
+"""Of the broken files: chunks, and messages where the file tells."""
 
 
 _AUV = ["starts-late", "stops-early"]

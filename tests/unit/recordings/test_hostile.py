@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from io import BytesIO
 
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, Fact, RecordingFormat, RecordingSummary, summarise
+from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
 from kleinkram.recordings.bag.writer import BagWriter
+from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
 
@@ -303,6 +306,25 @@ def test_attachments_and_metadata_are_listed() -> None:
     assert (summary.content, summary.attachments, summary.metadata_records) == (Content.indexed, 300, 1)
     assert summary.facts[0] == Fact("attachment", "cal (of no type, 5 bytes)")
     assert len(summary.facts) == 100
+
+
+def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_section() -> None:
+    message = record(records.MESSAGE, struct.pack("<HIQQ", 0, 0, T0, T0) + b"payload")
+    definition = record(records.CHANNEL, struct.pack("<HHI", 0, 0, 2) + b"/t" + bytes(8))
+    front = records.MAGIC + record(records.HEADER, bytes(8)) + definition + message
+    crc, footer = zlib.crc32(front), record(records.FOOTER, bytes(20)) + records.MAGIC
+    flipped = front.replace(b"payload", b"pazload")
+    for data, claimed, content in (
+        (front, crc, Content.indexed),
+        (front, 0, Content.indexed),
+        (flipped, crc, Content.recovered),
+    ):
+        end = record(records.DATA_END, struct.pack("<I", claimed)) + footer
+        summary = scan(from_source(MemorySource(data + end)))
+        assert (summary.content, summary.message_count) == (content, 1)
+        assert summary.lost == (None if content is Content.indexed else Lost(0, 0, 0))
+    assert "data section" in (summary.reason or "")
+    assert "nothing is lost" in (summary.reason or "")
 
 
 def test_an_attachment_with_a_wrong_checksum_is_told() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable
 from io import BytesIO
 
 import pytest
 
 from kleinkram.recordings import Problem, combine, summarise
+from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.writer import McapWriter
 from kleinkram.recordings.summary import scan
 
@@ -123,3 +127,53 @@ def test_log_times_far_from_publish_times() -> None:
         "/imu",
         "20 messages were logged more than 1 s away from their publish time: typically -3.0 s, at most -3.0 s",
     )
+
+
+def fields(values: dict[str, bytes]) -> bytes:
+    parts = [name.encode() + b"=" + value for name, value in values.items()]
+    return b"".join(struct.pack("<I", len(part)) + part for part in parts)
+
+
+def bag_of(*publishers: tuple[bytes, bytes]) -> bytes:
+    """Return a bag without index, with a connection of /t and a message for each type and publisher."""
+    pieces = [bag_records.MAGIC]
+    for number, (kind, publisher) in enumerate(publishers):
+        conn = struct.pack("<I", number)
+        data = fields({"topic": b"/t", "type": kind, **({"callerid": publisher} if publisher else {})})
+        time = struct.pack("<II", 1_700_000_000, number)
+        for head, body in (
+            (fields({"op": b"\x07", "conn": conn, "topic": b"/t"}), data),
+            (fields({"op": b"\x02", "conn": conn, "time": time}), b"x"),
+        ):
+            pieces += [struct.pack("<I", len(head)), head, struct.pack("<I", len(body)), body]
+    return b"".join(pieces)
+
+
+def mcap_of(*publishers: tuple[bytes, bytes]) -> bytes:
+    """Return the same as an MCAP, as a conversion from ROS 1 writes it."""
+    pieces = [records.MAGIC]
+    for number, (kind, publisher) in enumerate(publishers):
+        name, key, value = (struct.pack("<I", len(text)) + text for text in (kind, b"callerid", publisher))
+        metadata = key + value if publisher else b""
+        head = struct.pack("<HHI", number, number + 1, 2) + b"/t" + struct.pack("<II", 0, len(metadata))
+        bodies = (
+            (records.SCHEMA, struct.pack("<H", number + 1) + name + bytes(8)),
+            (records.CHANNEL, head + metadata),
+            (records.MESSAGE, struct.pack("<HIQQ", number, 0, T0, T0)),
+        )
+        pieces += [records.RECORD_HEAD.pack(opcode, len(body)) + body for opcode, body in bodies]
+    return b"".join(pieces)
+
+
+@pytest.mark.parametrize(("make", "name"), [(bag_of, "a.bag"), (mcap_of, "a.mcap")])
+def test_doubled_channels(make: Callable[..., bytes], name: str) -> None:
+    def doubled(*publishers: tuple[bytes, bytes]) -> list[str]:
+        summary = scan(from_source(MemorySource(make(*publishers), name)))
+        assert summary.message_count == len(publishers)
+        return [one.where + ": " + one.message for one in summary.problems if one.code == "doubled-channel"]
+
+    (told,) = doubled((b"a/B", b"/node"), (b"a/B", b"/node"), (b"a/B", b"/other"))
+    assert told.startswith("/t: /node has 2 channels")
+    assert doubled((b"a/B", b"/node"), (b"a/B", b"/other")) == []
+    assert doubled((b"a/B", b"/node"), (b"a/C", b"/node")) == []
+    assert doubled((b"a/B", b""), (b"a/B", b"")) == []

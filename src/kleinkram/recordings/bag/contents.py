@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.bag import records
@@ -17,7 +17,7 @@ from kleinkram.recordings.bag.walking import MessageLayout, learn_layout, walk_m
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.listening import Listener, Stretches
+from kleinkram.recordings.listening import Held, Listener, Stretches
 from kleinkram.recordings.tally import Batch
 
 _U32 = struct.Struct("<I")
@@ -46,11 +46,23 @@ class BagFacts:
     layout: MessageLayout | None = None
     listener: BagListener | None = None
 
+    def fork(self) -> BagFacts:
+        """Return a copy: what a chunk defines in one is not in the other, and its listener is not told of it yet."""
+        listener = None if self.listener is None else Held[Fields](self.listener)
+        return replace(self, connections=dict(self.connections), listener=listener)
+
+    def adopt(self, fork: BagFacts) -> None:
+        """Believe what a chunk has defined in a copy of this one."""
+        self.connections.update(fork.connections)
+        self.names_bytes, self.layout = fork.names_bytes, fork.layout
+        if isinstance(fork.listener, Held):
+            fork.listener.release()
+
     def define(self, number: int, connection: Connection, where: str) -> None:
         """Note a connection; the first of a number counts."""
         if number in self.connections:
             return
-        self.names_bytes += len(connection.topic) + len(connection.message_type)
+        self.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
         if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
         self.connections[number] = connection

@@ -1,76 +1,105 @@
-"""Chunks of a bag that are too large to be held: decompressed in small steps, their messages counted as they come."""
+"""Chunks of a bag that are too large to be held: nothing of one is believed before all of it came out."""
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from kleinkram.recordings.bag import contents, records
-from kleinkram.recordings.bag.contents import BagFacts, parse_record, walk
+from kleinkram.recordings.bag.contents import BagFacts, Record, parse_record, walk
 from kleinkram.recordings.bag.walking import learn_layout
-from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_TAKE, WINDOW
+from kleinkram.recordings.large_chunk import LargeChunk
+from kleinkram.recordings.limits import MAX_TAKE
 from kleinkram.recordings.listening import Place
-from kleinkram.recordings.stream import Decompressed, Lookahead
+from kleinkram.recordings.stream import Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
-_FLUSH_BYTES = 64 * 2**20
+
+class _Reading:
+    def __init__(self, stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place) -> None:
+        self._place, self._stored = place, record.data_bytes
+        self._kept_facts, self._kept_tally = facts, tally
+        self._facts, self._tally = facts.fork(), tally.fork()
+        self._batch = Batch(self._facts.connections)
+        compression, size = record.fields.text("compression"), place.uncompressed
+        self.chunk = LargeChunk(stream, compression, stored=self._stored, uncompressed=size, with_crc=False)
+
+    def read(self) -> Malformed | None:
+        """Follow the records; return why that ended."""
+        return self.chunk.read(self._step, self._flush)
+
+    def keep(self) -> None:
+        """Believe what was found."""
+        self._kept_facts.adopt(self._facts)
+        self._kept_tally.adopt(self._tally)
+
+    def forget(self) -> None:
+        """Believe nothing."""
+        if self._kept_facts.listener is not None:
+            self._kept_facts.listener.forget(self._place)
+
+    def _flush(self) -> None:
+        self._tally.learn(self._facts.connections)
+        if self._facts.listener is not None:
+            self._facts.listener.hear(self._place, self._batch)
+        self._tally.add(self._batch, stored=self._stored, uncompressed=self._place.uncompressed)
+        self._batch = Batch(self._facts.connections)
+
+    def _step(self) -> None:
+        inner = self.chunk.inner
+        after, _ = walk(inner.window, inner.at, len(inner.window), self._facts, self._batch)
+        if after > inner.at:
+            inner.advance(after - inner.at)
+            return
+        where = f"byte {inner.position} of its contents"
+        record = parse_record(inner.window, inner.at, where)
+        total = record.end - record.start
+        if total > inner.left:
+            raise Malformed(where, "a record reaches beyond the end")
+        if record.opcode == records.CONNECTION:
+            inner.ahead(min(total, MAX_TAKE))
+            data_at = inner.at + record.data_start - record.start
+            data = bytes(inner.window[data_at : data_at + record.data_bytes])
+            contents.define(record, data, self._facts, where)
+        elif record.opcode == records.MESSAGE and self._facts.layout is None:
+            self._facts.layout = learn_layout(inner.window, inner.at)
+        inner.advance(total)
+        if record.opcode == records.MESSAGE:  # not before: it may be cut
+            contents.add_message(record, self._batch)
 
 
 def read_large_chunk(
-    outer: Lookahead, compression: str, stored: int, facts: BagFacts, tally: Tally, place: Place
-) -> None:
-    """Add the messages of a chunk that is too large to be held, from where its data begin.
+    stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place
+) -> Malformed | None:
+    """Add the messages of a chunk, from where its data begin; return why not all of it could be followed.
 
-    `stored`: bytes of its data. `place`: of the chunk, for the listener.
+    `place`: of the chunk, for the listener.
 
     Raises:
-        Malformed: it is damaged, or ends with the file.
+        Malformed: its data are damaged, so that nothing of it can be believed; nothing was added.
     """
-    uncompressed, left = place.uncompressed, stored
-
-    def read(most: int) -> bytes:
-        nonlocal left
-        piece = outer.read_up_to(min(most, left))
-        left -= len(piece)
-        return piece
-
-    inner = Lookahead(Decompressed(open_decompressed(compression, read, uncompressed), uncompressed), with_crc=False)
-    batch = Batch(facts.connections)
-    flushed = 0
+    reading = _Reading(stream, record, facts, tally, place)
     try:
-        while inner.left:
-            inner.ahead(WINDOW)
-            walked = walk(inner.window, inner.at, len(inner.window), facts, batch)[0] - inner.at
-            inner.advance(walked if walked else _pass_record(inner, facts, batch))
-            if inner.position - flushed > _FLUSH_BYTES:
-                flushed = inner.position
-                _tell(facts, place, batch)
-                tally.add(batch, stored=stored, uncompressed=uncompressed)
-                batch = Batch(facts.connections)
-    finally:
-        tally.learn(facts.connections)
-        _tell(facts, place, batch)
-        tally.add(batch, stored=stored, uncompressed=uncompressed)
+        fault = reading.read()
+        reading.chunk.finish()
+    except Malformed:
+        reading.forget()
+        raise
+    reading.keep()
+    return fault
 
 
-def _tell(facts: BagFacts, place: Place, batch: Batch) -> None:
-    if facts.listener is not None:
-        facts.listener.hear(place, batch)
-
-
-def _pass_record(inner: Lookahead, facts: BagFacts, batch: Batch) -> int:
-    """Read a record in a large chunk; return its size."""
-    where = f"byte {inner.position} of its contents"
-    record = parse_record(inner.window, inner.at, where)
-    total = record.end - record.start
-    if total > inner.left:
-        raise Malformed(where, "a record reaches beyond the end")
-    if record.opcode == records.MESSAGE:
-        contents.add_message(record, batch)
-        if facts.layout is None:
-            facts.layout = learn_layout(inner.window, inner.at)
-    elif record.opcode == records.CONNECTION:
-        inner.ahead(min(total, MAX_TAKE))
-        data_at = inner.at + record.data_start - record.start
-        data = bytes(inner.window[data_at : data_at + record.data_bytes])
-        contents.define(record, data, facts, where)
-    return total
+def read_large_beginning(stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place) -> int:
+    """Add the messages of a chunk that ends with the file, from where its data begin; return how many of its stored
+    bytes they stand in.
+    """
+    stored = stream.left
+    try:
+        reading = _Reading(stream, record, facts, tally, place)
+    except Malformed:
+        return 0
+    with suppress(Malformed):
+        reading.read()
+    reading.keep()
+    seen = reading.chunk.inner.seen
+    return stored * reading.chunk.walked // seen if seen else 0

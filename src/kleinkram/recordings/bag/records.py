@@ -97,6 +97,7 @@ class Connection:
 
     topic: str
     message_type: str
+    publisher: str = ""
 
 
 class ChunkInfo(NamedTuple):
@@ -138,7 +139,7 @@ def read_fields(stream: ForwardStream) -> tuple[Fields, int]:
 def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Connection]:
     """Return number and content of a connection record."""
     inner = Fields(data, where)
-    connection = Connection(fields.text("topic"), inner.text("type"))
+    connection = Connection(fields.text("topic"), inner.text("type"), inner.text("callerid", ""))
     return fields.u32("conn"), connection
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import contents, records
 from kleinkram.recordings.bag.contents import BagFacts, BagListener, Record, find_record, parse_record, read_contents
-from kleinkram.recordings.bag.large_chunks import read_large_chunk
-from kleinkram.recordings.decompress import decompress, decompress_beginning
+from kleinkram.recordings.bag.large_chunks import read_large_beginning, read_large_chunk
+from kleinkram.recordings.decompress import decompress, decompress_beginning, without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE
@@ -200,10 +200,13 @@ class _Scanner:
         scan.compression.add(compression)
         before, damaged = scan.tally.messages, len(scan.losses.damage)
         try:
+            if compression != "none":
+                scan.losses.unpack(uncompressed, end=start + total)
             if max(total, uncompressed) > MAX_AT_ONCE:
                 stream.advance(head_bytes)
-                place = Place(CUT, start, total, uncompressed)
-                read_large_chunk(stream, compression, record.data_bytes, scan.facts, scan.tally, place)
+                fault = read_large_chunk(stream, record, scan.facts, scan.tally, Place(CUT, start, total, uncompressed))
+                if fault is not None:
+                    scan.losses.note(Malformed(f"chunk at byte {start}", fault.message))
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
@@ -214,8 +217,7 @@ class _Scanner:
                 end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
                 stream.advance(total if end == len(raw) else head_bytes + end)
         except Malformed as error:
-            damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
-            self._leave_chunk(start, total, scan.tally.messages - before, damage)
+            self._leave_chunk(start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
             return
         partly = len(scan.losses.damage) > damaged
         scan.losses.chunks += partly
@@ -239,27 +241,30 @@ class _Scanner:
             scan.losses.vain_bytes += len(raw)
         return end
 
-    def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
+    def _leave_chunk(self, start: int, record: Record, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
-        if stream.position == start and stream.left > total:
-            window, after = stream.window, stream.at + total
-            if after < len(window) and (
-                not contents.stands_outside_chunks(window, after)
-                # Bytes of it are missing, so that its length reaches over the next one.
-                or (
-                    not scan.losses.is_patience_spent(start)
-                    and find_record(window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
-                )
-            ):
+        total, before, used = record.end - record.start, scan.tally.messages, 0
+        if stream.position == start and (after := stream.at + total) <= len(stream.window):
+            stored = bytes(stream.window[after - record.data_bytes : after])
+            zeroed = without_zero_tail(record.fields.text("compression"), stored)
+            # Bytes of it may be missing, so that its length reaches over the next one.
+            is_short = (
+                not scan.losses.is_patience_spent(start)
+                and find_record(stream.window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+            )
+            is_followed = zeroed is not None or contents.stands_outside_chunks(stream.window, after)
+            if stream.left > total and (is_short or not is_followed):
                 scan.losses.vain_bytes += total
                 self._resync(damage)
                 return
+            if zeroed is not None:
+                used = self._save_beginning(zeroed, record)
         scan.losses.note(damage)
         stream.advance(start + total - stream.position)
-        scan.losses.bytes += total
-        self._chunk = ListedChunk(start, found, damaged=True)
+        scan.losses.bytes += total - used
+        self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=True)
 
     def _doubt(self, total: int, compression: str) -> None:
         """Refuse a chunk that would be read in vain, as so many before it.
@@ -282,33 +287,40 @@ class _Scanner:
             self._resync(damage)
             return
         self._end_chunk()
-        head_bytes = record.data_start - record.start
         scan.compression.add(compression)
-        before, used = scan.tally.messages, 0
-        place = Place(CUT, stream.position, stream.left, uncompressed)
-        if max(stream.left, uncompressed) > MAX_AT_ONCE:
-            stream.advance(head_bytes)
-            try:
-                read_large_chunk(stream, compression, record.data_bytes, scan.facts, scan.tally, place)
-            except Malformed:
-                used = 0
-        else:
-            stream.ahead(stream.left)
-            stored = bytes(stream.window[stream.at + head_bytes :])
-            raw = decompress_beginning(compression, stored, uncompressed)
-            batch = Batch(scan.facts.connections)
-            holes, _, stretches = read_contents(raw, scan.facts, batch)
-            self._define()
-            self._tell(place._replace(stretches=stretches), batch)
-            scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
-            followed = len(raw) - sum(hole.end - hole.start for hole in holes)
-            used = head_bytes + len(stored) * followed // len(raw) if followed else 0
-        scan.losses.unproven += scan.tally.messages - before
         scan.losses.chunks += 1
+        left, before, head_bytes = stream.left, scan.tally.messages, record.data_start - record.start
+        if max(left, uncompressed) <= MAX_AT_ONCE:
+            stream.ahead(left)
+            stored = bytes(stream.window[stream.at + head_bytes :])
+            used = self._save_beginning(without_zero_tail(compression, stored) or stored, record)
+        else:
+            place = Place(CUT, stream.position, left, uncompressed)
+            stream.advance(head_bytes)
+            used = read_large_beginning(stream, record, scan.facts, scan.tally, place)
+            used += head_bytes if used else 0
+            scan.losses.unproven += scan.tally.messages - before
         scan.losses.note(cut)
-        scan.losses.bytes += max(0, stream.left - used)
+        scan.losses.bytes += left - used
         scan.losses.messages_are_known = False
         stream.advance(stream.left)
+
+    def _save_beginning(self, stored: bytes, record: Record) -> int:
+        """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
+        scan, head_bytes = self.scan, record.data_start - record.start
+        compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+        try:
+            scan.losses.unpack(min(uncompressed, MAX_AT_ONCE), end=self._stream.size_bytes)
+        except Malformed:
+            return 0
+        raw = decompress_beginning(compression, stored, uncompressed)
+        batch = Batch(scan.facts.connections)
+        holes, _, stretches = read_contents(raw, scan.facts, batch)
+        self._define()
+        self._tell(Place(CUT, self._stream.position, head_bytes + len(stored), uncompressed, stretches), batch)
+        scan.losses.unproven += scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
+        followed = len(raw) - sum(hole.end - hole.start for hole in holes)
+        return head_bytes + len(stored) * followed // len(raw) if followed else 0
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
         """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""

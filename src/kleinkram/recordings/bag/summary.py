@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
-from kleinkram.recordings.assemble import TopicType, bounded, measure, pending, tell_damage, tell_readable
+from kleinkram.recordings.assemble import TopicType, bounded, measure, pending, tell_damage, tell_doubled, tell_readable
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import ChunkInfo, Connection
 from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
@@ -67,12 +67,12 @@ def scan_bag(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSum
     """
     scan = scan_bag_records(forward)
     losses, messages = scan.losses, scan.tally.messages
-    lost = losses.total(claimed=scan.listed, found=messages)
     found = losses.problems()
     if scan.listed is not None and scan.listed != messages and not found:
         message = f"the index says {scan.listed} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
     whole = bool(scan.index_start) and not losses.damage and scan.refused is None
+    lost = None if whole or scan.refused is not None else losses.total(claimed=scan.listed, found=messages)
     if whole:
         found = found or [*problems]
     reason = None if whole else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
@@ -137,7 +137,7 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
         if opcode == records.CONNECTION:
             number, connection = records.read_connection(fields, data, where)
             bag.connections[number] = connection
-            bag.names_bytes += len(connection.topic) + len(connection.message_type)
+            bag.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
         elif opcode == records.CHUNK_INFO:
             bag.chunks.append(records.read_chunk_info(fields, data, where))
         else:
@@ -243,6 +243,7 @@ def _summary(
         if kind not in known:
             known.append(kind)
     measured = measure(timeline, types)
+    named = [(one.topic, one.message_type, one.publisher) for one in connections.values()]
     return RecordingSummary(
         format=RecordingFormat.rosbag1,
         content=Content.indexed,
@@ -251,6 +252,6 @@ def _summary(
         end_ns=measured.end_ns,
         compression=tuple(sorted(compression)),
         topics=measured.topics,
-        problems=bounded([*problems, *measured.problems]),
+        problems=bounded([*problems, *tell_doubled(named), *measured.problems]),
         profile="ros1",
     )

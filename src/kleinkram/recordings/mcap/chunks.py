@@ -6,19 +6,18 @@ import struct
 import zlib
 from typing import NamedTuple
 
-from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning, open_decompressed
+from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_TAKE, WINDOW
+from kleinkram.recordings.limits import MAX_TAKE
 from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
 from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
 from kleinkram.recordings.mcap.walking import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
-from kleinkram.recordings.stream import Decompressed, Lookahead
-from kleinkram.recordings.tally import Batch, Tally
+from kleinkram.recordings.stream import Lookahead
+from kleinkram.recordings.tally import Batch
 
 _U64 = struct.Struct("<Q")
-_FLUSH_BYTES = 64 * 2**20
 _DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
 _HEAD_OF_DEFINITION = 3 * 4096 + 16
 
@@ -77,43 +76,6 @@ def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batc
     return (len(stored) * walked // len(raw) if raw else 0), walked
 
 
-def read_large_chunk(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
-    """Add the messages of a chunk that is too large to be held, from where its data begin.
-
-    They are added before the CRC at the end is known. `place`: of the chunk, for the listener.
-
-    Raises:
-        Malformed: it is damaged, or ends with the file.
-    """
-    left = head.stored
-
-    def read(most: int) -> bytes:
-        nonlocal left
-        piece = stream.read_up_to(min(most, left))
-        left -= len(piece)
-        return piece
-
-    inner = Lookahead(Decompressed(open_decompressed(head.compression, read, head.uncompressed), head.uncompressed))
-    batch = Batch(facts.channels)
-    flushed = 0
-    try:
-        while inner.left:
-            inner.ahead(WINDOW)
-            walked = walk_messages(inner.window, inner.at, len(inner.window), batch)[0] - inner.at
-            inner.advance(walked if walked else _pass_record(inner, facts, batch))
-            if inner.position - flushed > _FLUSH_BYTES:
-                flushed = inner.position
-                tell(facts, place, batch)
-                tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
-                batch = Batch(facts.channels)
-    finally:
-        tally.learn(facts.channels)
-        tell(facts, place, batch)
-        tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
-    if head.crc and inner.crc() != head.crc:
-        raise Malformed("chunk", "its checksum is wrong")
-
-
 def tell(facts: McapFacts, place: Place, batch: Batch) -> None:
     """Tell the listener, if there is one, of messages at a place."""
     if facts.listener is not None:
@@ -150,22 +112,13 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
         at = body + length
 
 
-def _pass_record(inner: Lookahead, facts: McapFacts, batch: Batch) -> int:
-    """Read a record that is no message, or a message larger than the window; return its size."""
-    if inner.left < RECORD_HEAD.size:
-        raise Malformed(f"byte {inner.position}", "it ends within a record")
-    opcode, length = RECORD_HEAD.unpack_from(inner.window, inner.at)
-    total: int = RECORD_HEAD.size + length
-    if opcode == 0 or total > inner.left:
-        raise Malformed(f"byte {inner.position}", "its records break off")
-    if opcode == records.MESSAGE:
-        read_large_message(inner, batch)
-    elif opcode in _DEFINITIONS:
+def read_definition(inner: Lookahead, facts: McapFacts, opcode: int, length: int) -> None:
+    """Note the next record of a chunk's content if it is a definition."""
+    if opcode in _DEFINITIONS:
         most = _most_of_definition(facts, length)
         inner.ahead(RECORD_HEAD.size + most)
         body = inner.at + RECORD_HEAD.size
         _define(facts, opcode, bytes(inner.window[body : body + most]), f"byte {inner.position}")
-    return total
 
 
 def _most_of_definition(facts: McapFacts, length: int) -> int:
@@ -179,8 +132,8 @@ def _define(facts: McapFacts, opcode: int, body: bytes, where: str) -> None:
         facts.listener.define(opcode, body, where)
 
 
-def read_large_message(stream: Lookahead, batch: Batch) -> None:
-    """Add the next message to the batch, of which only the head is at hand.
+def read_large_message(stream: Lookahead) -> tuple[int, tuple[int, int, int]]:
+    """Return channel and row of the next message, of which only the head is at hand.
 
     Raises:
         Malformed: it is too short to be one.
@@ -189,4 +142,4 @@ def read_large_message(stream: Lookahead, batch: Batch) -> None:
     if len(head) < MESSAGE_HEAD.size or MESSAGE_HEAD.unpack(head)[1] < MESSAGE_FIXED:
         raise Malformed(f"byte {stream.position}", "a message that is too short to be one")
     _opcode, length, channel_id, _sequence, log_time, publish_time = MESSAGE_HEAD.unpack(head)
-    batch[channel_id].extend((log_time, publish_time, RECORD_HEAD.size + length))
+    return channel_id, (log_time, publish_time, RECORD_HEAD.size + length)

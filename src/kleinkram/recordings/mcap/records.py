@@ -8,12 +8,12 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.listening import Listener
+from kleinkram.recordings.listening import Held, Listener
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
 
@@ -41,6 +41,7 @@ class Channel(NamedTuple):
     schema_id: int
     topic: str
     message_encoding: str
+    publisher: str = ""
 
 
 class Statistics(NamedTuple):
@@ -91,6 +92,19 @@ class McapFacts:
     listed: list[Fact] = field(default_factory=list)
     listener: McapListener | None = None
 
+    def fork(self) -> McapFacts:
+        """Return a copy: what a chunk defines in one is not in the other, and its listener is not told of it yet."""
+        listener = None if self.listener is None else Held[int](self.listener)
+        return replace(self, schemas=dict(self.schemas), channels=dict(self.channels), listener=listener)
+
+    def adopt(self, fork: McapFacts) -> None:
+        """Believe what a chunk has defined in a copy of this one."""
+        self.schemas.update(fork.schemas)
+        self.channels.update(fork.channels)
+        self.names_bytes = fork.names_bytes
+        if isinstance(fork.listener, Held):
+            fork.listener.release()
+
 
 class BodyReader:
     """Fields of one record's body, in order.
@@ -130,6 +144,11 @@ class BodyReader:
         (length,) = self.fields(_U32)
         return self.blob(length)
 
+    @property
+    def left(self) -> int:
+        """Bytes behind the fields that were read."""
+        return len(self._body) - self._at
+
     def _need(self, length: int) -> None:
         if self._at + length > len(self._body):
             raise Malformed(self._where, "a field reaches beyond its record")
@@ -163,12 +182,25 @@ def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a channel; the first of an id counts. The body may be cut behind the encoding."""
     reader = BodyReader(body, where)
     channel_id, schema_id = reader.fields(_PAIR_U16)
-    channel = Channel(schema_id, reader.text(), reader.text())
+    channel = Channel(schema_id, reader.text(), reader.text(), _publisher(reader))
     if channel_id not in facts.channels:
         if len(facts.channels) >= MAX_TOPICS:
             raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
-        _count_names(facts, where, channel.topic, channel.message_encoding)
+        _count_names(facts, where, channel.topic, channel.message_encoding, channel.publisher)
         facts.channels[channel_id] = channel
+
+
+def _publisher(reader: BodyReader) -> str:
+    """Return who publishes a channel, by the metadata that a conversion from ROS 1 leaves; empty where unknown."""
+    try:
+        metadata = BodyReader(reader.counted(), "")
+        while metadata.left:
+            key, value = metadata.text(), metadata.text()
+            if key == "callerid":
+                return value
+    except Malformed:
+        pass  # cut, or damaged: nothing else depends on it
+    return ""
 
 
 def _count_names(facts: McapFacts, where: str, *names: str) -> None:

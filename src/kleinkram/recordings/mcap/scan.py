@@ -11,12 +11,14 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from kleinkram.recordings.decompress import without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, plausible, records
+from kleinkram.recordings.mcap.large_chunks import read_large_beginning, read_large_chunk
 from kleinkram.recordings.mcap.plausible import LOOK, fault, holds_chunk, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.mcap.searching import find_inner, pass_damage
@@ -102,7 +104,7 @@ class _Scanner:
             return
         where = f"byte {stream.position}"
         if stream.left < RECORD_HEAD.size:
-            self._give_up(Cut(where, "the file ends within a record"))
+            self._give_up(Cut(where, "the file ends within a record"), stream.left)
             return
         opcode, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
         stream.ahead(RECORD_HEAD.size + min(length, WINDOW))
@@ -156,7 +158,8 @@ class _Scanner:
         elif opcode == records.DATA_END:
             self._sections.pass_data_end(total, where)
         elif opcode == records.MESSAGE:
-            chunks.read_large_message(stream, self._loose)
+            channel_id, row = chunks.read_large_message(stream)
+            self._loose[channel_id].extend(row)
             self._tell_loose(total)
             self._pass_loose(0)
             self._pass(total)
@@ -176,8 +179,9 @@ class _Scanner:
         try:
             fault = self._read_chunk(head, total)
         except Malformed as error:
-            damage = Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
-            self._leave_chunk(start, total, scan.tally.messages - before, damage)
+            self._leave_chunk(
+                start, total, head, Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
+            )
             return
         scan.chunks += 1
         self._listed = ListedChunk(start, scan.tally.messages - before, damaged=fault is not None)
@@ -189,47 +193,55 @@ class _Scanner:
         """Pass over a chunk; return why not all of it could be followed.
 
         Raises:
-            Malformed: nothing in it can be believed.
+            Malformed: nothing in it can be believed, and nothing was counted.
         """
         stream, scan = self._stream, self.scan
-        if max(total, head.uncompressed) > MAX_AT_ONCE:
+        is_large = max(total, head.uncompressed) > MAX_AT_ONCE
+        stream.ahead(total + LOOK)
+        if not is_large and scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
+            raise Malformed("chunk", "nothing stands behind it")
+        if head.compression:
+            scan.losses.unpack(head.uncompressed, end=stream.position + total)
+        if is_large:
             end = stream.position + total
             place = Place(CUT, stream.position, total, head.uncompressed)
             stream.advance(head.data_start)
-            chunks.read_large_chunk(stream, head, scan.facts, scan.tally, place)
+            fault = read_large_chunk(stream, head, scan.facts, scan.tally, place)
             stream.advance(end - stream.position)
-            return None
-        stream.ahead(total + LOOK)
-        if scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
-            raise Malformed("chunk", "nothing stands behind it")
+            return fault
         batch = Batch(scan.facts.channels)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
-        scan.tally.learn(scan.facts.channels)
         stretches = ((0, contents.walked),) if contents.fault else None
-        chunks.tell(scan.facts, Place(CHUNK, stream.position, total, head.uncompressed, stretches), batch)
-        scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+        self._count(batch, head, Place(CHUNK, stream.position, total, head.uncompressed, stretches))
         stream.advance(total)
         return contents.fault
 
-    def _leave_chunk(self, start: int, total: int, found: int, damage: Malformed) -> None:
+    def _count(self, batch: Batch, head: chunks.ChunkHead, place: Place) -> None:
+        self.scan.tally.learn(self.scan.facts.channels)
+        chunks.tell(self.scan.facts, place, batch)
+        self.scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+
+    def _leave_chunk(self, start: int, total: int, head: chunks.ChunkHead, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
-        if stream.position == start and stream.left > total:
-            window, after = stream.window, stream.at + total
-            if after < len(window) and (
-                not self._is_followed(total)
-                # Bytes of it are missing, so that its length reaches over the next one.
-                or (not scan.losses.is_patience_spent(start) and self._reaches_over_chunk(after))
-            ):
+        before, used = scan.tally.messages, 0
+        if stream.position == start and (after := stream.at + total) <= len(stream.window):
+            stored = bytes(stream.window[stream.at + head.data_start : after])
+            zeroed = without_zero_tail(head.compression, stored)
+            # Bytes of it may be missing, so that its length reaches over the next one.
+            is_short = not scan.losses.is_patience_spent(start) and self._reaches_over_chunk(after)
+            if stream.left > total and (is_short or (zeroed is None and not self._is_followed(total))):
                 scan.losses.vain_bytes += total
                 self._resync(damage)
                 return
-        self.scan.losses.note(damage)
+            if zeroed is not None:
+                used = self._save_beginning(zeroed, head)
+        scan.losses.note(damage)
         stream.advance(start + total - stream.position)
-        scan.losses.bytes += total
-        self._listed = ListedChunk(start, found, damaged=True)
+        scan.losses.bytes += total - used
+        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
 
     def _reaches_over_chunk(self, after: int) -> bool:
         """Say whether another chunk of this file begins before a place in the window."""
@@ -248,25 +260,33 @@ class _Scanner:
         self._end_chunk()
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
-        before, used = scan.tally.messages, 0
-        place = Place(CUT, stream.position, stream.left, head.uncompressed)
-        if max(stream.left, head.uncompressed) > MAX_AT_ONCE:
-            try:
-                stream.advance(head.data_start)
-                chunks.read_large_chunk(stream, head, scan.facts, scan.tally, place)
-            except Malformed:
-                used = 0
-        else:
-            stream.ahead(stream.left)
-            batch = Batch(scan.facts.channels)
-            stored = bytes(stream.window[stream.at + head.data_start :])
-            used, walked = chunks.read_beginning(stored, head, scan.facts, batch)
-            scan.tally.learn(scan.facts.channels)
-            chunks.tell(scan.facts, place._replace(stretches=((0, walked),)), batch)
-            scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
-        scan.losses.unproven += scan.tally.messages - before
         scan.losses.chunks += 1
-        self._give_up(cut, used + head.data_start if used else 0)
+        left, before = stream.left, scan.tally.messages
+        if max(left, head.uncompressed) <= MAX_AT_ONCE:
+            stream.ahead(left)
+            stored = bytes(stream.window[stream.at + head.data_start :])
+            used = self._save_beginning(without_zero_tail(head.compression, stored) or stored, head)
+        else:
+            place = Place(CUT, stream.position, left, head.uncompressed)
+            stream.advance(head.data_start)
+            used = read_large_beginning(stream, head, scan.facts, scan.tally, place)
+            used += head.data_start if used else 0
+            scan.losses.unproven += scan.tally.messages - before
+        self._give_up(cut, left - used)
+
+    def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
+        """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
+        scan, batch = self.scan, Batch(self.scan.facts.channels)
+        try:
+            scan.losses.unpack(min(head.uncompressed, MAX_AT_ONCE), end=self._stream.size_bytes)
+        except Malformed:
+            return 0
+        used, walked = chunks.read_beginning(stored, head, scan.facts, batch)
+        place = Place(CUT, self._stream.position, head.data_start + len(stored), head.uncompressed, ((0, walked),))
+        before = scan.tally.messages
+        self._count(batch, head, place)
+        scan.losses.unproven += scan.tally.messages - before
+        return head.data_start + used if used else 0
 
     def _note_listed(self) -> None:
         stream = self._stream
@@ -321,10 +341,10 @@ class _Scanner:
         pass_damage(stream, scan.facts.channels, scan.losses)
         scan.losses.bytes += max(0, stream.position - start)
 
-    def _give_up(self, damage: Malformed, used: int = 0) -> None:
-        """Leave out the rest of the file, all but the first `used` bytes of which are lost."""
+    def _give_up(self, damage: Malformed, lost: int) -> None:
+        """Leave out the rest of the file, of which so many bytes are lost."""
         self.scan.losses.note(damage)
-        self.scan.losses.bytes += max(0, self._stream.left - used)
+        self.scan.losses.bytes += lost
         self.scan.losses.messages_are_known = False
         self._stream.advance(self._stream.left)
 

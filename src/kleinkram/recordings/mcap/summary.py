@@ -12,6 +12,7 @@ from kleinkram.recordings.assemble import (
     measure,
     pending,
     tell_damage,
+    tell_doubled,
     tell_lateness,
     tell_readable,
 )
@@ -19,7 +20,7 @@ from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
-from kleinkram.recordings.mcap.records import McapFacts
+from kleinkram.recordings.mcap.records import McapFacts, Schema
 from kleinkram.recordings.mcap.scan import Scan, scan_records
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import Source
@@ -27,6 +28,7 @@ from kleinkram.recordings.stream import open_range
 from kleinkram.recordings.timeline import Timeline
 
 _HEAD_WINDOW = 4096
+_NO_SCHEMA = Schema("", "")
 
 
 def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
@@ -69,7 +71,8 @@ def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSu
         found.append(Problem("counts-disagree", forward.name, message))
     found += tell_lateness(scan.tally.lateness)
     stated = claimed.messages if claimed is not None and not scan.losses.index_faults else None
-    content, lost = _content(scan), scan.losses.total(claimed=stated, found=messages)
+    content = _content(scan)
+    lost = scan.losses.total(claimed=stated, found=messages) if content is not Content.indexed else None
     reason = None if content is Content.indexed else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
     summary = _summary(content, reason, scan.facts, scan.tally.timeline, found)
     return replace(summary, depth=Depth.scan, lost=lost)
@@ -118,6 +121,9 @@ def _summary(
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     measured: Measured = measure(timeline, _topic_types(facts))
+    named = [
+        (one.topic, facts.schemas.get(one.schema_id, _NO_SCHEMA).name, one.publisher) for one in facts.channels.values()
+    ]
     return RecordingSummary(
         format=RecordingFormat.mcap,
         content=content,
@@ -127,7 +133,7 @@ def _summary(
         end_ns=measured.end_ns,
         compression=tuple(sorted(facts.compression)),
         topics=measured.topics,
-        problems=bounded([*problems, *measured.problems]),
+        problems=bounded([*problems, *tell_doubled(named), *measured.problems]),
         library=facts.library,
         profile=facts.profile,
         attachments=facts.attachments,

@@ -29,6 +29,7 @@ class Gathering:
         self._channels: set[int] = set()
         self._first_ns, self._last_ns = _NO_TIME
         self._messages = 0
+        self._counts_here: dict[int, int] = {}
         self._stretches = 0
 
     def hear(self, place: Place, batch: Batch) -> None:
@@ -50,7 +51,7 @@ class Gathering:
             if id(rows) in seen:  # channels of one topic share it
                 continue
             seen.add(id(rows))
-            self.counts[number] = self.counts.get(number, 0) + len(stamps)
+            self._counts_here[number] = self._counts_here.get(number, 0) + len(stamps)
             self._messages += len(stamps)
             self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
 
@@ -64,8 +65,18 @@ class Gathering:
             self._table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
             if stretches is not None:
                 self._table.stretches[start] = stretches
+        for number, count in self._counts_here.items():
+            self.counts[number] = self.counts.get(number, 0) + count
+        self._begin()
+
+    def forget(self, place: Place) -> None:
+        """Take back the messages at a place, if they were the last that were told of."""
+        if self._place is not None and self._place.start == place.start:
+            self._begin()
+
+    def _begin(self) -> None:
         self._place, self._messages = None, 0
-        self._channels = set()
+        self._channels, self._counts_here = set(), {}
         self._first_ns, self._last_ns = _NO_TIME
 
     def finish(self, losses: Losses) -> None:

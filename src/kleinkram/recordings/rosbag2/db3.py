@@ -48,7 +48,8 @@ def scan_db3(forward: Forward, *, depth: Depth = Depth.scan) -> RecordingSummary
         return summary
     content = Content.recovered if summary.content is Content.indexed else summary.content
     reason = summary.reason or left[0].message
-    return replace(summary, content=content, reason=reason, problems=bounded([*left, *summary.problems]))
+    lost = summary.lost or Lost(0, 0, None)
+    return replace(summary, content=content, reason=reason, problems=bounded([*left, *summary.problems]), lost=lost)
 
 
 class _Tally:
@@ -150,7 +151,7 @@ def _read(path: Path, name: str, depth: Depth) -> RecordingSummary:
         return tally.summary(Content.indexed, None, depth, (), None)
     problems = [Problem("damaged", name, fault) for fault in faults]
     reason = f"the database is damaged ({faults[0]}); what SQLite finds of it is counted"
-    return tally.summary(Content.recovered, reason, depth, problems, None)
+    return tally.summary(Content.recovered, reason, depth, problems, Lost(0, 0, None))
 
 
 def _recover(path: Path, name: str, depth: Depth, error: str) -> RecordingSummary:

@@ -1,0 +1,110 @@
+"""Chunks of an MCAP that are too large to be held: nothing of one is believed before its CRC is known."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.large_chunk import LargeChunk
+from kleinkram.recordings.listening import Place
+from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.chunks import ChunkHead, read_definition, read_large_message, tell
+from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
+from kleinkram.recordings.mcap.walking import walk_messages
+from kleinkram.recordings.stream import Lookahead
+from kleinkram.recordings.tally import Batch, Tally
+
+
+class _Reading:
+    def __init__(self, stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
+        self._head, self._place = head, place
+        self._kept_facts, self._kept_tally = facts, tally
+        self._facts, self._tally = facts.fork(), tally.fork()
+        self._batch = Batch(self._facts.channels)
+        self.chunk = LargeChunk(stream, head.compression, stored=head.stored, uncompressed=head.uncompressed)
+
+    def read(self) -> Malformed | None:
+        """Follow the records; return why that ended."""
+        return self.chunk.read(self._step, self._flush)
+
+    def prove(self) -> None:
+        """Pass over the rest.
+
+        Raises:
+            Malformed: the data are damaged, or their checksum is wrong.
+        """
+        crc = self.chunk.finish()
+        if self._head.crc and crc != self._head.crc:
+            raise Malformed("chunk", "its checksum is wrong")
+
+    def keep(self) -> None:
+        """Believe what was found."""
+        self._kept_facts.adopt(self._facts)
+        self._kept_tally.adopt(self._tally)
+
+    def forget(self) -> None:
+        """Believe nothing."""
+        if self._kept_facts.listener is not None:
+            self._kept_facts.listener.forget(self._place)
+
+    def _flush(self) -> None:
+        self._tally.learn(self._facts.channels)
+        tell(self._facts, self._place, self._batch)
+        self._tally.add(self._batch, stored=self._head.stored, uncompressed=self._head.uncompressed)
+        self._batch = Batch(self._facts.channels)
+
+    def _step(self) -> None:
+        inner = self.chunk.inner
+        after, _ = walk_messages(inner.window, inner.at, len(inner.window), self._batch)
+        if after > inner.at:
+            inner.advance(after - inner.at)
+            return
+        if len(inner.window) - inner.at < RECORD_HEAD.size:
+            raise Malformed(f"byte {inner.position}", "it ends within a record")
+        opcode, length = RECORD_HEAD.unpack_from(inner.window, inner.at)
+        if opcode == 0 or RECORD_HEAD.size + length > inner.left:
+            raise Malformed(f"byte {inner.position}", "its records break off")
+        if opcode == records.MESSAGE:
+            channel_id, row = read_large_message(inner)
+            inner.advance(RECORD_HEAD.size + length)  # before it counts: it may be cut
+            self._batch[channel_id].extend(row)
+            return
+        read_definition(inner, self._facts, opcode, length)
+        inner.advance(RECORD_HEAD.size + length)
+
+
+def read_large_chunk(
+    stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place
+) -> Malformed | None:
+    """Add the messages of a chunk, from where its data begin; return why not all of it could be followed.
+
+    `place`: of the chunk, for the listener.
+
+    Raises:
+        Malformed: nothing of it can be believed; nothing was added.
+    """
+    reading = _Reading(stream, head, facts, tally, place)
+    try:
+        fault = reading.read()
+        reading.prove()
+    except Malformed:
+        reading.forget()
+        raise
+    reading.keep()
+    return fault
+
+
+def read_large_beginning(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> int:
+    """Add the messages of a chunk that ends with the file, from where its data begin; return how many of its stored
+    bytes they stand in.
+    """
+    stored = stream.left
+    try:
+        reading = _Reading(stream, head, facts, tally, place)
+    except Malformed:
+        return 0
+    with suppress(Malformed):
+        reading.read()
+    reading.keep()
+    seen = reading.chunk.inner.seen
+    return stored * reading.chunk.walked // seen if seen else 0
