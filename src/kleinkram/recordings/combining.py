@@ -9,7 +9,7 @@ from dataclasses import replace
 from kleinkram.recordings.assemble import bounded, rate_hz
 from kleinkram.recordings.model import Content, Depth, Lost, Problem, RecordingSummary, TopicSummary
 from kleinkram.recordings.oddities import name_oddities
-from kleinkram.recordings.timeline import Run, bulk, join, within
+from kleinkram.recordings.timeline import LEAST_JUMP_NS, Run, bulk, join, within
 
 _WORST_FIRST = (
     Content.error,
@@ -45,6 +45,7 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         return summaries[0]
     island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
     topics = _combine_topics(summaries, island)
+    jumps = _jumps_between(summaries, names)
     first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
     return RecordingSummary(
         format=first.format,
@@ -59,11 +60,12 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
             [
                 *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
                 *_changed_types(summaries),
+                *jumps,
                 *name_oddities(
                     topics,
                     island.last_ns - island.first_ns if island else None,
                     longest_silence_ns=0
-                    if any(one.code == _CLOCK_JUMP for each in summaries for one in each.problems)
+                    if jumps or any(one.code == _CLOCK_JUMP for each in summaries for one in each.problems)
                     else None,
                 ),
             ]
@@ -98,6 +100,23 @@ def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
     ]
 
 
+def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> list[Problem]:
+    """Name the members before which the clock was set back: there, most topics begin long before they ended."""
+    problems = []
+    ended: dict[str, int] = {}
+    for number, summary in enumerate(summaries):
+        spans = [(one.name, one.first_ns, one.last_ns) for one in summary.topics]
+        known = [(name, first_ns, last_ns) for name, first_ns, last_ns in spans if first_ns is not None and last_ns]
+        shared = [ended[name] - first_ns for name, first_ns, _ in known if name in ended]
+        back = sorted(back_ns for back_ns in shared if back_ns > LEAST_JUMP_NS)
+        if 2 * len(back) > len(shared):
+            where = names[number] if names else f"file {number + 1}"
+            message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
+            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are not to be trusted"))
+        ended.update((name, last_ns) for name, _, last_ns in known)
+    return problems
+
+
 def _content(contents: set[Content]) -> Content:
     for unsettled in (Content.error, Content.pending):
         if unsettled in contents:
@@ -120,7 +139,7 @@ def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str 
 
 def _lost(summaries: Sequence[RecordingSummary]) -> Lost | None:
     losses = [summary.lost for summary in summaries if summary.lost is not None]
-    if not losses:
+    if not losses and _content({summary.content for summary in summaries}) is not Content.recovered:
         return None
     untold = any(summary.lost is None and summary.content in (Content.broken, Content.opaque) for summary in summaries)
     messages = None if untold else _total(lost.messages for lost in losses)

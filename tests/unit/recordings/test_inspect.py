@@ -81,6 +81,32 @@ def test_a_member_that_was_not_read_leaves_the_whole_unknown() -> None:
     assert whole.reason == "not read (and 1 more files are not whole)"
 
 
+def test_a_clock_that_was_set_between_the_files_is_named() -> None:
+    hour_ns = 3600 * 10**9
+    first, back = member(T0, T0 + 60 * 10**9), member(T0 - hour_ns, T0 - hour_ns + 60 * 10**9)
+    whole = combine([first, back], ["a_0.mcap", "a_1.mcap"])
+    assert [(p.code, p.where) for p in whole.problems] == [("clock-jump", "a_1.mcap")]
+    assert "3660.0 s" in whole.problems[0].message
+    assert combine([back, first]).problems == ()
+    overlapping = member(T0 + 55 * 10**9, T0 + 90 * 10**9)
+    assert combine([first, overlapping]).problems == ()
+
+
+def test_one_topic_that_comes_late_is_no_clock() -> None:
+    """A buffer that is written late, beside topics that go on."""
+    first, second = member(T0, T0 + 60 * 10**9), member(T0 + 60 * 10**9, T0 + 90 * 10**9)
+    late = [TopicSummary("/late", "a/B", "a/B", "", "cdr", 5, T0 + at, T0 + at + 30 * 10**9) for at in (0, 10**9)]
+    parts = [replace(one, topics=(*one.topics, topic)) for one, topic in zip((first, second), late, strict=True)]
+    assert "clock-jump" not in [problem.code for problem in combine(parts).problems]
+
+
+def test_what_is_recovered_always_says_what_is_lost() -> None:
+    broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
+    assert combine([member(T0, T0 + 10), broken]).lost == Lost(0, 0, None)
+    assert combine([broken, broken]).lost is None
+    assert combine([member(T0, T0 + 5), member(T0 + 6, T0 + 9)]).lost is None
+
+
 def test_losses_are_added() -> None:
     damaged = replace(member(T0, T0 + 10), content=Content.recovered, reason="cut", lost=Lost(100, 1, 5))
     other = replace(damaged, lost=Lost(50, 2, None))
