@@ -1,23 +1,23 @@
 """`klein endpoint …`"""
 
-import sys
+import datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from kleinkram.cli.options import AsJson, read_text
-from kleinkram.cli.render import details, note, show_json, table
-from kleinkram.client.config import (
-    EndpointSource,
+from kleinkram.cli.options import AsJson, read_text, read_token
+from kleinkram.cli.render import details, moment, note, show_json, table
+from kleinkram.client.config import EndpointSource, find_endpoint
+from kleinkram.client.errors import NotConfigured
+from kleinkram.client.saved_endpoints import (
+    SavedEndpoint,
     add_endpoint,
     endpoints_file,
-    find_endpoint,
     load_endpoints,
     remove_endpoint,
     use_endpoint,
 )
-from kleinkram.client.errors import NotConfigured
 
 app = typer.Typer(
     help="Which server commands talk to, and why.",
@@ -29,7 +29,7 @@ app = typer.Typer(
 _WHY = {
     EndpointSource.argument: "it was given",
     EndpointSource.environment: "KLEINKRAM_URL says so",
-    EndpointSource.chosen: "it was chosen with `klein endpoint use`",
+    EndpointSource.chosen: "it was chosen, by `klein login` or `klein endpoint use`",
     EndpointSource.local: "it runs on this machine, and no other was chosen",
 }
 
@@ -43,28 +43,38 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
         return
     endpoint = find_endpoint()
     why = _WHY[endpoint.source]
+    known = _known(endpoint.url, endpoint.token)
     if as_json:
-        show_json({"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why})
+        told = {"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why}
+        show_json({**told, **_told(known)})
         return
-    details([("endpoint", endpoint.name), ("url", endpoint.url), ("because", why), ("saved in", str(endpoints_file()))])
+    who, until = _who_until(known)
+    place = [("endpoint", endpoint.name), ("url", endpoint.url), ("because", why)]
+    details([*place, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
 
 
 @app.command("list")
 def list_(as_json: AsJson = False) -> None:
-    """List the saved endpoints, and the one in use."""
-    saved = load_endpoints()
+    """List the saved endpoints, who one is on each and until when, and the one in use."""
+    saved = load_endpoints().endpoints
     try:
         used = find_endpoint()
     except NotConfigured:
         used = None
-    rows = {name: endpoint.url for name, endpoint in saved.endpoints.items()}
+    urls = {name: endpoint.url for name, endpoint in saved.items()}
     if used is not None:
-        rows.setdefault(used.name, used.url)
+        urls.setdefault(used.name, used.url)
     in_use = used.name if used else None
     if as_json:
-        show_json({"items": [{"name": name, "url": url, "in_use": name == in_use} for name, url in rows.items()]})
+        rows = [
+            {"name": name, "url": url, "in_use": name == in_use, **_told(saved.get(name))} for name, url in urls.items()
+        ]
+        show_json({"items": rows})
         return
-    table(["in use", "name", "url"], [("*" if name == in_use else "", name, url) for name, url in rows.items()])
+    table(
+        ["in use", "name", "url", "who", "until"],
+        [("*" if name == in_use else "", name, url, *_who_until(saved.get(name))) for name, url in urls.items()],
+    )
 
 
 @app.command("add")
@@ -77,7 +87,7 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Save a server and the token for it. The first one saved is chosen."""
-    saved = add_endpoint(name, url, _token(token_file))
+    saved = add_endpoint(name, SavedEndpoint(url=url, token=_token(token_file)))
     if as_json:
         show_json({"name": name, "url": saved.endpoints[name].url, "in_use": saved.current == name})
     note(f"Saved {name}." + ("" if saved.current == name else f" `klein endpoint use {name}` chooses it."))
@@ -102,8 +112,29 @@ def remove(name: NameArgument, as_json: AsJson = False) -> None:
 
 
 def _token(file: Path | None) -> str:
-    if file is not None:
-        return (read_text(file) or "").strip()
-    if sys.stdin.isatty():
-        return str(typer.prompt("Token", hide_input=True, err=True)).strip()
-    return sys.stdin.readline().strip()
+    return read_token() if file is None else (read_text(file) or "").strip()
+
+
+def _known(url: str, token: str | None) -> SavedEndpoint | None:
+    saved = load_endpoints().endpoints.values()
+    return next((endpoint for endpoint in saved if (endpoint.url, endpoint.token) == (url, token)), None)
+
+
+def _told(endpoint: SavedEndpoint | None) -> dict[str, object]:
+    if endpoint is None:
+        return {"person": None, "expires_at": None, "expired": None}
+    at = endpoint.expires_at
+    return {"person": endpoint.person, "expires_at": at.isoformat() if at else None, "expired": _has_expired(endpoint)}
+
+
+def _who_until(endpoint: SavedEndpoint | None) -> tuple[str | None, str | None]:
+    if endpoint is None or endpoint.person is None:
+        return None, None
+    if endpoint.expires_at is None:
+        return endpoint.person, "no end"
+    ending = " (expired)" if _has_expired(endpoint) else ""
+    return endpoint.person, moment(endpoint.expires_at) + ending
+
+
+def _has_expired(endpoint: SavedEndpoint) -> bool:
+    return endpoint.expires_at is not None and endpoint.expires_at <= datetime.datetime.now(datetime.timezone.utc)

@@ -1,5 +1,6 @@
 """Options that mean the same on every command."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -51,6 +52,13 @@ def read_text(path: Path | None) -> str | None:
         raise InvalidInput(what=f"The file {str(path)!r}", reason=error.strerror or str(error)) from None
     except UnicodeDecodeError:
         raise InvalidInput(what=f"The file {str(path)!r}", reason="it is not UTF-8 text") from None
+
+
+def read_token() -> str:
+    """Return a token from the terminal, where it is not echoed, or the first line of stdin; empty where none came."""
+    if sys.stdin.isatty():
+        return str(typer.prompt("Token", hide_input=True, err=True)).strip()
+    return sys.stdin.readline().strip()
 
 
 def confirm(question: str, yes: bool) -> None:

@@ -8,6 +8,7 @@ from kleinkram.client._http import Api
 from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
 from kleinkram.client.files import Files
+from kleinkram.client.me import Me
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
@@ -33,6 +34,7 @@ class Client:
         self.stats = Stats(api)
         self.audit = Audit(api)
         self.service = Service(api)
+        self.me = Me(api)
 
     def __enter__(self) -> Self:
         return self

@@ -4,6 +4,7 @@ Never moves the bytes of files; those go straight to the store (`transfer/`). Sa
 """
 
 import json
+import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -14,14 +15,14 @@ from pydantic import BaseModel, ValidationError
 
 import kleinkram
 from kleinkram.client._retry import Backoff
-from kleinkram.client.config import Endpoint
+from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import (
     AnswerNotUnderstood,
     ServerUnreachable,
     StoreUnreachable,
     remember_request,
 )
-from kleinkram.contract.errors import KleinkramError, ProblemDocument, from_problem
+from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -162,11 +163,12 @@ class Api:
         self, method: str, target: str, content: bytes | None, request_id: str, whole: bool
     ) -> urllib3.BaseHTTPResponse:
         headers = {
-            "Authorization": f"Bearer {self.endpoint.token}",
             "User-Agent": f"klein/{kleinkram.__version__}",
             "X-Request-Id": request_id,
             "Accept": "application/json",
         }
+        if self.endpoint.token is not None:
+            headers["Authorization"] = f"Bearer {self.endpoint.token}"
         if content is not None:
             headers["Content-Type"] = "application/json"
         return self._pool.request(method, target, body=content, headers=headers, redirect=False, preload_content=whole)
@@ -180,7 +182,16 @@ class Api:
         except ValidationError:
             reason = f"status {answer.status}{_said(answer.data)}"
             return remember_request(self._not_understood(what, reason), answer.headers.get("X-Request-Id", request_id))
-        return remember_request(from_problem(problem), problem.request_id or request_id)
+        error = from_problem(problem)
+        if isinstance(error, NotAuthenticated):
+            error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)
+        return remember_request(error, problem.request_id or request_id)
+
+
+def _whose(endpoint: Endpoint) -> str:
+    """Return where a token that is not welcome came from, where signing in would not replace it."""
+    given = endpoint.token is not None and endpoint.token == os.environ.get(TOKEN_VARIABLE)
+    return f" (it is the one in {TOKEN_VARIABLE})" if given else ""
 
 
 def _said(body: bytes) -> str:

@@ -28,7 +28,7 @@ class ClientError(KleinkramError):
 
 @dataclass(eq=False)
 class NotConfigured(ClientError):
-    """No server is known: {reason}. Start one with `klein up`, or name one with `klein endpoint add`, or KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
+    """No server is known: {reason}. Start one with `klein up`, or sign in to one with `klein login URL`, or name one by KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
 
     reason: str
 
@@ -43,10 +43,33 @@ class ConfigurationBroken(ClientError):
 
 @dataclass(eq=False)
 class NoSuchEndpoint(ClientError):
-    """There is no endpoint {name!r}; known are: {known}. `klein endpoint add` makes one."""
+    """There is no endpoint {name!r}; known are: {known}. `klein login` makes one."""
 
     name: str
     known: str
+
+
+@dataclass(eq=False)
+class EndpointTaken(ClientError):
+    """The endpoint {name!r} is {url}. Give another --name, or let it go first with `klein logout {name}`."""
+
+    name: str
+    url: str
+
+
+@dataclass(eq=False)
+class CredentialsExposed(ClientError):
+    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Mend it with `chmod 600`; if somebody may have looked, `klein logout --all` ends what is in it, and `klein login` begins anew."""  # noqa: E501  one sentence
+
+    file: str
+    mode: str
+
+
+@dataclass(eq=False)
+class NoBrowser(ClientError):
+    """There is no browser here that could be opened. `klein login {url} --device` shows a code to type on another machine."""  # noqa: E501  one sentence
+
+    url: str
 
 
 @dataclass(eq=False)

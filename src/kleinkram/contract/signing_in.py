@@ -81,10 +81,14 @@ class CredentialKind(str, enum.Enum):
 
 
 class CredentialRead(BaseModel):
-    """The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only."""
+    """The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only.
+
+    `DELETE /tokens/{id}` ends a token, `DELETE /me/sessions/{id}` a session.
+    """
 
     model_config = ConfigDict(frozen=True)
 
+    id: uuid.UUID
     kind: CredentialKind
     name: str
     scopes: list[Scope]

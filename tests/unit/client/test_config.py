@@ -5,17 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.client.config import (
-    EndpointSource,
-    add_endpoint,
-    endpoints_file,
-    find_endpoint,
-    load_endpoints,
-    normal_url,
-    remove_endpoint,
-    use_endpoint,
-)
-from kleinkram.client.errors import ConfigurationBroken, InvalidInput, NoSuchEndpoint, NotConfigured
+from kleinkram.client.config import EndpointSource, find_endpoint
+from kleinkram.client.errors import ConfigurationBroken, InvalidInput, NotConfigured
+from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, endpoints_file, normal_url
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +35,7 @@ def test_nothing_known_says_what_to_do() -> None:
 
 def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.local, "local-token")
-    add_endpoint("lab", "https://lab/", "lab-token")
+    add_endpoint("lab", SavedEndpoint(url="https://lab/", token="lab-token"))
     assert (find_endpoint().source, find_endpoint().url) == (EndpointSource.chosen, "https://lab")
     monkeypatch.setenv("KLEINKRAM_URL", "http://env:1")
     monkeypatch.setenv("KLEINKRAM_TOKEN", "env-token")
@@ -53,40 +45,21 @@ def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    add_endpoint("lab", "https://lab", "lab-token")
+    add_endpoint("lab", SavedEndpoint(url="https://lab", token="lab-token"))
     monkeypatch.setenv("KLEINKRAM_URL", "https://lab")
     assert find_endpoint().token == "lab-token"
     monkeypatch.setenv("KLEINKRAM_URL", "http://127.0.0.1:8000/")
     assert find_endpoint().token == "local-token"
     monkeypatch.setenv("KLEINKRAM_URL", "https://elsewhere")
-    with pytest.raises(NotConfigured, match="https://elsewhere"):
+    with pytest.raises(NotConfigured, match="klein login https://elsewhere"):
         find_endpoint()
-
-
-def test_the_file_is_for_its_owner_alone() -> None:
-    add_endpoint("lab", "https://lab", "secret")
-    assert endpoints_file().stat().st_mode & 0o777 == 0o600
-    use_endpoint("lab")
-    assert endpoints_file().stat().st_mode & 0o777 == 0o600
-
-
-def test_choosing_and_removing() -> None:
-    add_endpoint("lab", "https://lab", "a")
-    add_endpoint("field", "https://field", "b")
-    assert find_endpoint().name == "lab", "the first is chosen, the second is not"
-    use_endpoint("field")
-    assert find_endpoint().name == "field"
-    remove_endpoint("field")
-    assert load_endpoints().current is None
-    for refused in (use_endpoint, remove_endpoint):
-        with pytest.raises(NoSuchEndpoint, match="lab"):
-            refused("field")
 
 
 @pytest.mark.parametrize("content", ["", "{", '{"endpoints": 3}'])
 def test_a_broken_file_is_named(content: str) -> None:
     endpoints_file().parent.mkdir(parents=True)
     endpoints_file().write_text(content)
+    endpoints_file().chmod(0o600)
     with pytest.raises(ConfigurationBroken, match=r"endpoints\.json"):
         find_endpoint()
 

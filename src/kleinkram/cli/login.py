@@ -1,0 +1,146 @@
+"""`klein login`: a token for this machine, kept for its user alone."""
+
+import os
+import socket
+import sys
+import webbrowser
+from contextlib import suppress
+from typing import Annotated
+from urllib.parse import urlsplit
+
+import typer
+
+from kleinkram.cli.options import AsJson, read_token
+from kleinkram.cli.render import escape, moment, note, show_json
+from kleinkram.client.config import TOKEN_VARIABLE, URL_VARIABLE, EndpointSource, find_endpoint
+from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser
+from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, load_endpoints, name_for, normal_url
+from kleinkram.client.signing_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.signing_in import SignedIn
+
+_LOOPBACK = {"127.0.0.1", "::1", "localhost"}
+
+
+def login(
+    url: Annotated[
+        str | None, typer.Argument(metavar="[URL]", show_default=False, help="The server; else the one in use.")
+    ] = None,
+    device: Annotated[
+        bool, typer.Option("--device", help="Show a code to type in a browser elsewhere, as over ssh.")
+    ] = False,
+    token: Annotated[
+        bool, typer.Option("--token", help="Take a token from stdin, a prompt that does not echo, or KLEINKRAM_TOKEN.")
+    ] = False,
+    name: Annotated[
+        str | None, typer.Option("--name", metavar="NAME", help="What to call the endpoint. Default: the host.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Sign in to a server by the browser, by a code typed elsewhere, or by a token. Commands talk to it from now."""
+    if device and token:
+        raise InvalidInput(what="The command", reason="say --device or --token, not both")
+    server = _server(url)
+    _warn_of_plain_http(server)
+    saved_as, before = _place(server, name)
+    if token:
+        endpoint = _brought_along(server)
+    else:
+        endpoint = _own(server, _by_code(server) if device else _by_browser(server))
+    _keep(saved_as, endpoint)
+    if before is not None and before.is_own and before.token != endpoint.token:
+        with suppress(KleinkramError):  # it ends by itself, only later
+            end_token(before.url, before.token)
+    _tell(saved_as, endpoint, as_json)
+
+
+def _server(url: str | None) -> str:
+    given = url or os.environ.get(URL_VARIABLE)
+    return normal_url(given) if given else find_endpoint().url
+
+
+def _warn_of_plain_http(server: str) -> None:
+    parts = urlsplit(server)
+    if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
+        note(f"{server} is not encrypted: whoever is on the way sees the token. Use it on a network that you trust.")
+
+
+def _place(server: str, name: str | None) -> tuple[str, SavedEndpoint | None]:
+    saved = load_endpoints()
+    saved_as = name or name_for(server, saved)
+    before = saved.endpoints.get(saved_as)
+    if before is not None and before.url != server:  # said before somebody signs in for nothing
+        raise EndpointTaken(name=saved_as, url=before.url)
+    return saved_as, before
+
+
+def _brought_along(server: str) -> SavedEndpoint:
+    secret = _token()
+    if not secret:
+        raise InvalidInput(what="The token", reason=f"none came from stdin, and {TOKEN_VARIABLE} is not set")
+    me = who_has(server, secret)
+    return SavedEndpoint(url=server, token=secret, person=me.person.name, expires_at=me.credential.expires_at)
+
+
+def _token() -> str:
+    from_environment = os.environ.get(TOKEN_VARIABLE, "").strip()
+    if sys.stdin.isatty() and from_environment:
+        return from_environment
+    return read_token() or from_environment
+
+
+def _own(server: str, got: SignedIn) -> SavedEndpoint:
+    return SavedEndpoint(url=server, token=got.token, person=got.person.name, expires_at=got.expires_at, is_own=True)
+
+
+def _by_code(server: str) -> SignedIn:
+    code = begin_device(server, _client_name())
+    note(f"Open {escape(code.verification_url)} in any browser, and type {escape(code.user_code)}")
+    note(f"or open {escape(code.verification_url_complete)}")
+    note(f"Waiting for it, {code.expires_s / 60:.0f} minutes at most …")
+    return wait_for_device(server, code)
+
+
+def _by_browser(server: str) -> SignedIn:
+    if not _has_browser():
+        raise NoBrowser(url=server)
+    see_server(server)
+    with begin_browser(server, _client_name()) as waiting:
+        note(f"Opening {waiting.url}")
+        if not webbrowser.open(waiting.url):
+            raise NoBrowser(url=server)
+        note("Waiting for you to sign in there. Where no window opens: Ctrl-C, and `klein login --device`.")
+        return waiting.wait()
+
+
+def _has_browser() -> bool:
+    """Say whether a window could open: text browsers would take the terminal, and know no way back to it."""
+    if os.environ.get("BROWSER") or not sys.platform.startswith("linux"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _client_name() -> str:
+    name = f"klein on {socket.gethostname()}"
+    return "".join(letter for letter in name if letter.isprintable())[:100]
+
+
+def _keep(name: str, endpoint: SavedEndpoint) -> None:
+    try:
+        add_endpoint(name, endpoint, choose=True)
+    except KleinkramError:
+        if endpoint.is_own:  # else nobody would know of it
+            with suppress(KleinkramError):
+                end_token(endpoint.url, endpoint.token)
+        raise
+
+
+def _tell(name: str, endpoint: SavedEndpoint, as_json: bool) -> None:
+    until = endpoint.expires_at
+    if as_json:
+        expires_at = until.isoformat() if until else None
+        show_json({"name": name, "url": endpoint.url, "person": endpoint.person, "expires_at": expires_at})
+    ending = f" until {moment(until)}" if until else ""
+    note(f"Signed in to {endpoint.url} as {escape(endpoint.person or '')}{ending}. The endpoint {name} is in use now.")
+    if (used := find_endpoint()).source is EndpointSource.environment and used.token != endpoint.token:
+        note(f"But {URL_VARIABLE} and {TOKEN_VARIABLE} are set, and go before it.")

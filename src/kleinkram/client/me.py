@@ -1,0 +1,47 @@
+"""Oneself, as the server knows one: for programs that want to say who they work for, or to sign out."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api
+from kleinkram.client._paging import pages
+from kleinkram.contract.signing_in import MeRead, SessionRead
+
+
+class Me:
+    """`client.me`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def get(self) -> MeRead:
+        """Return whose the token in use is, and what it is good for.
+
+        Raises:
+            NotAuthenticated: it is unknown, expired or revoked.
+        """
+        return self._api.get("/me", MeRead)
+
+    def sign_out(self) -> None:
+        """Revoke the token in use: from the next request on it is good for nothing.
+
+        Raises:
+            NotAuthenticated: it already was.
+        """
+        self._api.delete(f"/tokens/{self.get().credential.id}")
+
+    def sessions(self) -> Iterator[SessionRead]:
+        """Yield the browsers that one is signed in with."""
+        return pages(self._api, "/me/sessions", SessionRead, [])
+
+    def end_session(self, session_id: uuid.UUID) -> None:
+        """Sign one browser out.
+
+        Raises:
+            NotFound: none of one's own has that id.
+        """
+        self._api.delete(f"/me/sessions/{session_id}")
+
+    def end_sessions(self) -> None:
+        """Sign every browser out. Tokens stay as they are."""
+        self._api.delete("/me/sessions")
