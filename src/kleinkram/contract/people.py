@@ -1,5 +1,6 @@
 """People, as far as one user sees them, and who is asking."""
 
+import datetime
 import uuid
 
 from pydantic import BaseModel, ConfigDict
@@ -12,6 +13,34 @@ class PersonRef(BaseModel):
 
     id: uuid.UUID
     name: str
+
+
+class PersonRead(BaseModel):
+    """A person. `emails` are their verified addresses, for themselves, admins, and editors of a group that they are in.
+
+    `deactivated_at` is when they left; only admins see those who did.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    emails: list[str]
+    is_admin: bool
+    created_at: datetime.datetime
+    deactivated_at: datetime.datetime | None
+
+
+class Departure(BaseModel):
+    """What ended when somebody was deactivated, and the projects that went to the admins for want of another owner."""
+
+    model_config = ConfigDict(frozen=True)
+
+    person: PersonRef
+    sessions: int
+    tokens: int
+    links: int
+    projects: list[str]
 
 
 class ServiceRead(BaseModel):

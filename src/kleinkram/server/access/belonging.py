@@ -25,7 +25,7 @@ async def join_by_address(db: Connection, person_id: uuid.UUID, email: str) -> N
 async def email_group(db: Connection, email: str) -> uuid.UUID:
     """Return the group of an address, made where there is none; whoever has verified the address is in it."""
     key = email_key(email)
-    made = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": email, "name_key": key}
+    made = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": key, "name_key": key}
     # Whoever makes it at the same time is waited for, so that neither the grant nor the member is missed.
     await db.execute(upsert(access_group).values(made).on_conflict_do_nothing())
     same = (access_group.c.kind == GroupKind.email.value) & (access_group.c.name_key == key)

@@ -4,14 +4,32 @@ A right is a grant to a group that one is in, on a project or on a mission; the 
 and anybody may read what is public. A credential with limits reaches nothing outside of them, whoever carries it.
 """
 
+import datetime
+from collections.abc import Callable, Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, any_, case, false, func, literal, or_, select, true
+from sqlalchemy import ColumnElement, Select, and_, any_, case, false, func, literal, not_, or_, select, true
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.rights import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import among
-from kleinkram.server.tables import access_grant, blob, file, membership, mission, project
+from kleinkram.server.tables import (
+    access_grant,
+    access_group,
+    blob,
+    file,
+    membership,
+    mission,
+    person,
+    project,
+    recording,
+)
+
+# What says of a time of expiry that something is not over.
+Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
+# Whoever is in one of these together knows of each other; all admins of a server need not.
+_SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
+_GROUPS = (*_SHARED, GroupKind.admins.value)
 
 
 def visible_projects(actor: Actor, right: Right = Right.read) -> Select[Any]:
@@ -50,6 +68,48 @@ def trashed_files(actor: Actor) -> Select[Any]:
     return _joined_files().where(file.c.deleted_at.is_not(None), _reaches_file(actor, Right.delete))
 
 
+def sees_whole_missions(actor: Actor) -> bool:
+    """Say whether a mission that `actor` sees shows all that is in it, its metadata too.
+
+    By a link to some of its files it shows these and its name; who may only upload sees names, and what they brought.
+    """
+    return Scope.read in actor.scopes and (actor.limits is None or actor.limits.file_ids is None)
+
+
+def shown_files(actor: Actor) -> ColumnElement[bool]:
+    """Say of each `file` of a mission that `actor` sees whether it is shown to them."""
+    shown: ColumnElement[bool] = true()
+    if actor.limits is not None and actor.limits.file_ids is not None:
+        shown = among(file.c.id, actor.limits.file_ids)
+    if Scope.read not in actor.scopes:
+        # Who may only upload sees the files they brought, so that an upload can be answered, and no other.
+        shown = and_(shown, file.c.uploaded_by_id == actor.person_id)
+    return shown
+
+
+def shown_recordings(actor: Actor) -> ColumnElement[bool]:
+    """Say of each `recording` of a mission that `actor` sees whether all files it is made of are shown to them."""
+    if sees_whole_missions(actor):
+        return true()
+    member = select(file.c.id).where(file.c.recording_id == recording.c.id, file.c.deleted_at.is_(None))
+    shown = shown_files(actor)
+    members = (member.where(shown), member.where(not_(shown)))
+    some, others = (each.correlate(recording).exists() for each in members)
+    return and_(some, not_(others))
+
+
+def shown_span(actor: Actor) -> tuple[ColumnElement[int | None], ColumnElement[int | None]]:
+    """Return start and end of each `mission` of a select as far as its files are shown, in ns of the log clock."""
+    if sees_whole_missions(actor):
+        return mission.c.start_ns, mission.c.end_ns
+    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+    ends = (func.min(blob.c.start_ns), func.max(blob.c.end_ns))
+    first, last = (
+        select(end).join_from(file, blob, blob.c.id == file.c.blob_id).where(*inside).correlate(mission) for end in ends
+    )
+    return first.scalar_subquery(), last.scalar_subquery()
+
+
 def level_on_project(actor: Actor) -> ColumnElement[int]:
     """Return the level of `actor`'s right on each `project` of a select; 0 where there is none."""
     if actor.is_admin:
@@ -65,6 +125,86 @@ def level_on_mission(actor: Actor) -> ColumnElement[int]:
         return literal(Right.read.level)
     place = or_(access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
     return func.greatest(_public_level(), _granted_level(actor, place, mission))
+
+
+def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
+    """Return the level of `actor`'s right on each `project` of a select that lasts until then, or for good."""
+    if actor.is_admin:
+        return literal(Right.delete.level)
+    return _granted_level(actor, access_grant.c.project_id == project.c.id, project, _lasting(until))
+
+
+def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
+    """Return the same on each `mission` of a select."""
+    if actor.is_admin:
+        return literal(Right.delete.level)
+    place = or_(access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
+    return _granted_level(actor, place, mission, _lasting(until))
+
+
+def visible_people(actor: Actor) -> Select[Any]:
+    """Return the people whom `actor` may know of: active ones that share a group, a project or a mission with them.
+
+    Whoever was let in by an e-mail address does not show by that, so that nobody learns who has which address. Admins
+    see all, those who left too. What a limited token's carrier sees is themselves.
+    """
+    if actor.limits is not None:
+        return select(person).where(person.c.id == actor.person_id)
+    if actor.is_admin:
+        return select(person)
+    together = membership.alias("together")
+    in_my_groups = select(together.c.person_id).where(
+        together.c.group_id == any_(_my_groups(actor)), unexpired(together.c.expires_at)
+    )
+    known = person.c.id.in_(in_my_groups) | person.c.id.in_(_granted_where(actor))
+    return select(person).where(or_(person.c.id == actor.person_id, and_(person.c.deactivated_at.is_(None), known)))
+
+
+def visible_groups(actor: Actor) -> Select[Any]:
+    """Return the groups that `actor` is in, of those that several people can be in; admins see all of these."""
+    if actor.limits is not None:
+        return select(access_group).where(false())
+    if actor.is_admin:
+        return select(access_group).where(access_group.c.kind.in_(_GROUPS))
+    return select(access_group).where(access_group.c.id == any_(_my_groups(actor, _GROUPS)))
+
+
+def knows_addresses(actor: Actor) -> ColumnElement[bool]:
+    """Say of each `person` of a select whether `actor` may know their addresses: editors of a shared group, admins."""
+    if actor.limits is not None or actor.is_admin:
+        return literal(actor.limits is None) | (person.c.id == actor.person_id)
+    theirs = membership.alias("theirs")
+    edited = select(theirs.c.person_id).where(
+        theirs.c.group_id == any_(_my_groups(actor, editors_only=True)), unexpired(theirs.c.expires_at)
+    )
+    return or_(person.c.id == actor.person_id, person.c.id.in_(edited))
+
+
+def _my_groups(actor: Actor, kinds: Collection[str] = _SHARED, *, editors_only: bool = False) -> ColumnElement[Any]:
+    mine = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+    stmt = select(membership.c.group_id).join(access_group, access_group.c.id == membership.c.group_id)
+    stmt = stmt.where(mine, access_group.c.kind.in_(kinds))
+    return func.array((stmt.where(membership.c.is_editor) if editors_only else stmt).scalar_subquery())
+
+
+def _granted_where(actor: Actor) -> Select[Any]:
+    """Return the ids of the people who were granted something on a project, or a mission, where `actor` was too."""
+    theirs, group = membership.alias("granted"), access_group.alias("granted_group")
+    granted = access_grant.alias("their_grant")
+    my_projects = _granted(actor, access_grant.c.project_id, Right.read)
+    my_missions = _granted(actor, access_grant.c.mission_id, Right.read)
+    missions = select(mission.c.id).where(mission.c.project_id == any_(my_projects))
+    shared = or_(
+        granted.c.project_id == any_(my_projects),
+        granted.c.mission_id == any_(my_missions),
+        granted.c.mission_id.in_(missions),
+    )
+    return (
+        select(theirs.c.person_id)
+        .join_from(granted, group, (group.c.id == granted.c.group_id) & (group.c.kind != GroupKind.email.value))
+        .join(theirs, theirs.c.group_id == group.c.id)
+        .where(shared, unexpired(granted.c.expires_at), unexpired(theirs.c.expires_at))
+    )
 
 
 def _joined_files() -> Select[Any]:
@@ -101,13 +241,7 @@ def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
 
 
 def _reaches_file(actor: Actor, right: Right) -> ColumnElement[bool]:
-    reached = _reaches_mission(actor, right)
-    if actor.limits is not None and actor.limits.file_ids is not None:
-        reached = and_(reached, among(file.c.id, actor.limits.file_ids))
-    if Scope.read not in actor.scopes:
-        # Who may only upload sees the files they brought, so that an upload can be answered, and no other.
-        reached = and_(reached, file.c.uploaded_by_id == actor.person_id)
-    return reached
+    return and_(_reaches_mission(actor, right), shown_files(actor))
 
 
 def _or_public(granted: ColumnElement[bool], right: Right) -> ColumnElement[bool]:
@@ -118,16 +252,22 @@ def _public_level() -> ColumnElement[int]:
     return case((project.c.is_public, Right.read.level), else_=0)
 
 
-def _my_grants(actor: Actor, *columns: ColumnElement[Any]) -> Select[Any]:
+def _my_grants(actor: Actor, *columns: ColumnElement[Any], still: Still = unexpired) -> Select[Any]:
     return (
         select(*columns)
         .join_from(membership, access_grant, access_grant.c.group_id == membership.c.group_id)
         .where(
             membership.c.person_id == actor.person_id,
-            unexpired(membership.c.expires_at),
-            unexpired(access_grant.c.expires_at),
+            still(membership.c.expires_at),
+            still(access_grant.c.expires_at),
         )
     )
+
+
+def _lasting(until: datetime.datetime | None) -> Still:
+    if until is None:
+        return lambda expires_at: expires_at.is_(None)
+    return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
 
 
 def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> ColumnElement[Any]:
@@ -136,6 +276,8 @@ def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> ColumnEle
     return func.array(stmt.scalar_subquery())
 
 
-def _granted_level(actor: Actor, place: ColumnElement[bool], outer: Any) -> ColumnElement[int]:
-    highest = _my_grants(actor, func.coalesce(func.max(access_grant.c.level), 0)).where(place)
+def _granted_level(
+    actor: Actor, place: ColumnElement[bool], outer: Any, still: Still = unexpired
+) -> ColumnElement[int]:
+    highest = _my_grants(actor, func.coalesce(func.max(access_grant.c.level), 0), still=still).where(place)
     return highest.correlate(outer).scalar_subquery()

@@ -1,0 +1,75 @@
+"""Groups of people, and who is in them until when."""
+
+import datetime
+import uuid
+
+from pydantic import BaseModel, ConfigDict
+
+from kleinkram.contract.expiry import Expiry
+from kleinkram.contract.names import Name
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.rights import GroupKind, Right
+
+
+class GroupCreate(BaseModel):
+    """A group to make; whoever makes it is its first member and editor."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+
+
+class GroupUpdate(BaseModel):
+    """A group's new name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+
+
+class GroupRead(BaseModel):
+    """A group. Members whose time is over, or who left, do not count.
+
+    `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
+    settings say of an affiliation group.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    kind: GroupKind
+    member_count: int
+    is_member: bool
+    is_editor: bool
+    expires_at: datetime.datetime | None
+    domains: list[str]
+    default_right: Right | None
+    created_at: datetime.datetime
+    created_by: PersonRef | None
+
+
+class MemberSet(BaseModel):
+    """How somebody is in a group: with a say in who else is, and until when; without `expires_at` there is no end."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    is_editor: bool = False
+    expires_at: Expiry | None = None
+
+
+class MemberRead(BaseModel):
+    """Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
+
+    `is_active`: neither has their time ended, nor did they leave.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    person: PersonRef
+    emails: list[str]
+    is_editor: bool
+    is_active: bool
+    expires_at: datetime.datetime | None
+    added_at: datetime.datetime
+    added_by: PersonRef | None
