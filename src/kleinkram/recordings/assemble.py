@@ -170,6 +170,8 @@ def tell_readable(messages: int, lost: Lost | None) -> str:
         return readable
     if lost == Lost(0, 0, 0):
         return f"{readable}; nothing is lost"
+    if lost == Lost(0, 0, None):
+        return f"{readable}; whether more was recorded is not known"
     parts = [f"{lost.bytes} bytes"]
     if lost.chunks:
         parts.insert(0, f"{lost.chunks} chunks" if lost.chunks > 1 else "1 chunk")

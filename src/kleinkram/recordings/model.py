@@ -144,7 +144,7 @@ class RecordingSummary:
         bytes_read: what this summary cost.
         depth: whether every byte was read.
         lost: what of a damaged file could not be read: always there if `content` is `recovered`, and three zeros where
-            nothing of what the file holds or names is lost; None for a whole file, or where it was not measured.
+            something is wrong and nothing is lost; None for a whole file, or where it was not measured.
         facts: what else the file says of itself; names of attachments and metadata, and what is cheap to tell of
             formats that are no recordings.
     """

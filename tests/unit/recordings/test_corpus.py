@@ -32,8 +32,8 @@ FORMATS = {
     "empty file": (RecordingFormat.empty, Content.broken),
 }
 LOST = {
-    "broken/unindexed.bag": (0, 0),
-    "derived/magic_only.mcap": (0, 0),
+    "broken/unindexed.bag": (0, None),
+    "derived/magic_only.mcap": (0, None),
     "broken/truncated.bag": (1, None),
     "broken/truncated.mcap": (0, None),
     "derived/auv_zstd_bitflip_chunk2.mcap": (1, 1328),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from kleinkram.recordings import Content, RecordingSummary
 from kleinkram.recordings.rosbag2.database import open_database
-from kleinkram.recordings.rosbag2.pages import LEAF_TABLE, local_bytes, read_varint
+from kleinkram.recordings.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
 
 from .databases import SCHEMAS, make_database, steady
 from .test_db3 import scan_file
@@ -162,3 +163,27 @@ def test_a_deleted_row_is_not_brought_back(tmp_path: Path) -> None:
 def _write(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
+
+
+def test_pages_in_no_order_cost_their_own_bytes(sound: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chain of pages that jumps through the file is followed page by page; in order, many are read at once."""
+    path = tmp_path / "a.db3"
+    path.write_bytes(sound + bytes(4 * 2**20))
+    read: list[int] = []
+    pread = os.pread
+
+    def counted(descriptor: int, length: int, offset: int) -> bytes:
+        read.append(length)
+        return pread(descriptor, length, offset)
+
+    monkeypatch.setattr("kleinkram.recordings.rosbag2.pages.os.pread", counted)
+    with PageFile(path, "a.db3") as file:
+        size, count = file.header.page_bytes, file.whole_pages
+        in_order = [file.page(number) for number in range(1, count + 1)]
+        assert len(read) < 10
+        read.clear()
+        jumping = [
+            number for pair in zip(range(1, count // 2), range(count, count // 2, -1), strict=False) for number in pair
+        ]
+        assert [file.page(number) for number in jumping] == [in_order[number - 1] for number in jumping]
+    assert sum(read) <= size * len(jumping) + 2**21

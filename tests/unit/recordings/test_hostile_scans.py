@@ -14,9 +14,12 @@ from kleinkram.recordings import losses as losses_module
 from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.decompress import decompress
 from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.scan import scan_records
 from kleinkram.recordings.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.summary import scan
+from kleinkram.recordings.tally import Batch
 
 from .memory_source import MemorySource
 from .test_hostile import record, small_mcap
@@ -157,3 +160,26 @@ def test_a_topic_may_have_any_name() -> None:
     pieces += 3 * [records.RECORD_HEAD.pack(records.MESSAGE, len(message)) + message]
     summary = scan(from_source(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
     assert [(found.name, found.count) for found in summary.topics] == [(topic.decode(), 3)]
+
+
+def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each claims a megabyte, behind which nothing stands; a reader without index is told of none but a few."""
+    told = 0
+
+    class Counting:
+        def hear(self, place: Place, batch: Batch) -> None:
+            raise AssertionError("there are no messages")
+
+        def forget(self, place: Place) -> None:
+            raise AssertionError("there are no messages")
+
+        def define(self, opcode: int, body: bytes, where: str) -> None:
+            nonlocal told
+            told += len(body)
+
+    monkeypatch.setattr(losses_module, "_FREE_VAIN_BYTES", 2**20)
+    length = 2**20
+    head = records.RECORD_HEAD.pack(records.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
+    data = records.MAGIC + head * HEADS + bytes(length)
+    scan_records(from_source(MemorySource(data, "a.mcap")), Counting())
+    assert 0 < told <= 2**20 + 6 * len(data)

@@ -77,6 +77,7 @@ class _Scanner:
         """Compare what the bag's header announces with what came."""
         scan, size = self.scan, self._stream.size_bytes
         if not scan.index_start or scan.refused is not None:
+            scan.losses.messages_are_known = False
             return
         if self._infos >= self._chunks_claimed:
             scan.listed = self._info_messages if self._infos else None
@@ -85,6 +86,7 @@ class _Scanner:
             if scan.index_start >= size:
                 message = f"the file is cut: its index should begin at byte {scan.index_start}, where it has ended"
             scan.losses.note(Malformed(f"byte {size}", message))
+            scan.losses.messages_are_known = False
         elif self._infos > scan.chunks + scan.losses.chunks:
             missing = self._infos - scan.chunks - scan.losses.chunks
             scan.losses.note(Malformed("index", f"it lists {missing} chunks more than the file holds"))

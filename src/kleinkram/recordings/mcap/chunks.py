@@ -19,7 +19,7 @@ from kleinkram.recordings.tally import Batch
 
 _U64 = struct.Struct("<Q")
 _DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
-_HEAD_OF_DEFINITION = 3 * 4096 + 16
+HEAD_OF_DEFINITION = 3 * 4096 + 16
 
 
 class ChunkHead(NamedTuple):
@@ -123,7 +123,7 @@ def read_definition(inner: Lookahead, facts: McapFacts, opcode: int, length: int
 
 def _most_of_definition(facts: McapFacts, length: int) -> int:
     """Return how much of a definition is looked at: its names, or all of it for a listener."""
-    return min(length, _HEAD_OF_DEFINITION if facts.listener is None else MAX_TAKE)
+    return min(length, HEAD_OF_DEFINITION if facts.listener is None else MAX_TAKE)
 
 
 def _define(facts: McapFacts, opcode: int, body: bytes, where: str) -> None:

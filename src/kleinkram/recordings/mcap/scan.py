@@ -80,6 +80,7 @@ class _Scanner:
                 Malformed("channels", f"{nameless} messages are on channels that the file does not define")
             )
             scan.losses.messages += nameless
+        scan.losses.messages_are_known = scan.losses.messages_are_known and scan.closed
         claimed = scan.facts.statistics
         is_believed = claimed is not None and not scan.losses.damage and not scan.losses.index_faults
         if claimed is not None and is_believed and claimed.messages > scan.tally.messages:
@@ -165,7 +166,10 @@ class _Scanner:
             self._pass(total)
         else:
             if opcode in _READERS:
-                body = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
+                most = chunks.HEAD_OF_DEFINITION if opcode in (records.SCHEMA, records.CHANNEL) else WINDOW
+                body = bytes(stream.window[body_at : body_at + min(length, most)])
+                if length > LOOK and self.scan.losses.is_patience_spent(stream.position):
+                    raise Malformed(where, "a record that nothing vouches for")
                 _READERS[opcode](self.scan.facts, body, where)
                 chunks.tell_definition(stream, self.scan.facts, opcode, where)
             self._pass(total)
@@ -311,6 +315,7 @@ class _Scanner:
         else:
             if stream.window[stream.at] == records.STATISTICS:
                 self.scan.facts.statistics = None  # bytes of it are missing
+            self.scan.losses.vain_bytes += total if total > LOOK else 0
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
 
     def _pass_loose(self, length: int) -> None:

@@ -127,11 +127,13 @@ class PageFile:
             raise Malformed(f"page {number}", "it lies beyond the end of the file")
         size = self.header.page_bytes
         at = (number - 1) * size - self._window_at
-        if not 0 <= at <= len(self._window) - size:
-            self._window_at = (number - 1) * size // WINDOW * WINDOW
-            self._window = self._pread(WINDOW, self._window_at)
-            at = (number - 1) * size - self._window_at
-        return self._window[at : at + size]
+        if 0 <= at <= len(self._window) - size:
+            return self._window[at : at + size]
+        if at != len(self._window):
+            return self._pread(size, (number - 1) * size)  # pages in no order: a window for each would cost too much
+        self._window_at += at
+        self._window = self._pread(WINDOW, self._window_at)
+        return self._window[:size]
 
     def _pread(self, length: int, offset: int) -> bytes:
         try:
