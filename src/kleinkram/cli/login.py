@@ -24,7 +24,7 @@ _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 
 def login(
     url: Annotated[
-        str | None, typer.Argument(metavar="[URL]", show_default=False, help="The server; else the one in use.")
+        str | None, typer.Argument(metavar="URL", show_default=False, help="The server; else the one in use.")
     ] = None,
     device: Annotated[
         bool, typer.Option("--device", help="Show a code to type in a browser elsewhere, as over ssh.")

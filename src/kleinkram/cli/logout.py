@@ -25,7 +25,7 @@ class _Ended:
 
 def logout(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", show_default=False, help="The endpoint; else the one in use.")
+        str | None, typer.Argument(metavar="NAME", show_default=False, help="The endpoint; else the one in use.")
     ] = None,
     everywhere: Annotated[bool, typer.Option("--all", help="Sign out of every server that is saved here.")] = False,
     as_json: AsJson = False,

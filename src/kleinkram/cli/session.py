@@ -35,7 +35,7 @@ def list_(as_json: AsJson = False) -> None:
 @app.command("revoke")
 def revoke(
     session: Annotated[
-        str | None, typer.Argument(metavar="[ID]", show_default=False, help="As `klein session list` shows it.")
+        str | None, typer.Argument(metavar="ID", show_default=False, help="As `klein session list` shows it.")
     ] = None,
     everywhere: Annotated[bool, typer.Option("--all", help="Sign every browser out.")] = False,
     yes: Yes = False,

@@ -1,0 +1,78 @@
+"""A server that says what a test tells it to, one answer after the other, and remembers what it was asked."""
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from pydantic import BaseModel
+
+from kleinkram.contract.errors import KleinkramError, to_problem
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One request."""
+
+    method: str
+    path: str
+    authorization: str | None
+    body: Any
+
+
+@dataclass
+class Scripted:
+    """The server: its address, what it has yet to say, what it was asked."""
+
+    url: str = ""
+    answers: list[BaseModel | KleinkramError | bytes | None] = field(default_factory=list)
+    asked: list[Asked] = field(default_factory=list)
+
+
+@contextmanager
+def scripted(*answers: BaseModel | KleinkramError | bytes | None) -> Iterator[Scripted]:
+    """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks."""
+    script = Scripted(answers=[*answers])
+
+    class Speaker(BaseHTTPRequestHandler):
+        timeout = 5
+
+        def _speak(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length", "0")))
+            known = self.headers.get("Authorization")
+            script.asked.append(Asked(self.command, self.path, known, json.loads(body) if body else None))
+            status, said = _said(script.answers.pop(0))
+            if said is None:
+                self.close_connection = True
+                return
+            self.send_response(status)
+            self.send_header("Content-Length", str(len(said)))
+            self.end_headers()
+            self.wfile.write(said)
+
+        do_GET = do_POST = do_DELETE = _speak  # noqa: N815  the names that http.server calls
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Speaker)
+    script.url = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
+    try:
+        yield script
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def _said(answer: BaseModel | KleinkramError | bytes | None) -> tuple[int, bytes | None]:
+    if isinstance(answer, KleinkramError):
+        return answer.status, to_problem(answer, "r").model_dump_json().encode()
+    if isinstance(answer, BaseModel):
+        return 200, answer.model_dump_json().encode()
+    return 204, answer
