@@ -38,6 +38,7 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
@@ -301,8 +302,9 @@ async def list_uploads(db: Connection, actor: Actor, *, mission_id: uuid.UUID, p
 
     Raises:
         NotFound: no such mission for `actor`.
+        Forbidden: they may see it, but put nothing into it.
     """
-    await missions.get_mission_row(db, actor, mission_id)
+    await require_mission(db, actor, "list_uploads", mission_id)
     statement = queries.own_uploads(actor).where(upload.c.mission_id == mission_id, upload.c.state.in_(queries.ACTIVE))
     rows = await fetch_page(db, statement, Order([upload.c.created_at, upload.c.id]), page)
     return Page(items=[read_upload(row, []) for row in rows.items], next=rows.next, total=rows.total)
