@@ -4,9 +4,10 @@ import datetime
 import uuid
 from typing import Annotated
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.names import Label
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
@@ -32,7 +33,7 @@ class TokenCreate(BaseModel):
     scopes: Annotated[list[Scope], Field(min_length=1, max_length=len(Scope))] | None = None
     project_ids: Places = []
     mission_ids: Places = []
-    expires_at: AwareDatetime | None = None
+    expires_at: Expiry | None = None
 
     @property
     def chosen_scopes(self) -> list[Scope]:

@@ -25,6 +25,7 @@ from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
+from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
@@ -67,7 +68,20 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.queue = queue
     app.add_middleware(Envelope, body_limit_bytes=settings.body_limit_bytes)
     install_handlers(app)
-    for router in (probes, service, projects, missions, files, recordings, uploads, search, trash, tokens, audit):
+    for router in (
+        probes,
+        service,
+        projects,
+        missions,
+        files,
+        recordings,
+        uploads,
+        search,
+        trash,
+        tokens,
+        shares,
+        audit,
+    ):
         app.include_router(router)
     _see_that_all_are_guarded(app)
     return app

@@ -59,6 +59,7 @@ class Settings(BaseSettings):
     upload_expires_s: Annotated[Seconds, Field(description="How long an unfinished upload is kept.")] = 7 * 86_400
     part_url_s: Annotated[Seconds, Field(description="How long the address of a part to send is good for.")] = 900
     download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 3600
+    share_days_max: Annotated[int, Field(ge=1, le=3650, description="How long a link may be good at most.")] = 90
     trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
     sweep_grace_s: Annotated[
         float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")

@@ -14,7 +14,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import membership, person, session, share, share_file, token, token_limit
+from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
 
 ALL_SCOPES = frozenset(Scope)
 _CONTAINED = {
@@ -102,7 +102,11 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
             await db.execute(update(token).where(token.c.id == row.token_id).values(last_used_at=func.now()))
         return _carrier(row)
     row = (await db.execute(_by_share(hashed))).one_or_none()
-    return None if row is None else _guest(row)
+    if row is None:
+        return None
+    if row.use_is_unnoted:
+        await db.execute(update(share).where(share.c.id == row.id).values(last_used_at=func.now()))
+    return _guest(row)
 
 
 async def find_signed_in(db: Connection, secret: str) -> Actor | None:
@@ -173,7 +177,15 @@ def _by_share(hashed: bytes) -> Select[Any]:
     files = select(share_file.c.file_id).where(share_file.c.share_id == share.c.id).correlate(share)
     chosen = func.array(files.scalar_subquery()).label("file_ids")
     usable = share.c.revoked_at.is_(None) & (share.c.expires_at > func.now())
-    return select(share, chosen).where(share.c.secret_sha256 == hashed, usable)
+    # It ends with whoever made it, and rests while what it shows is in the trash.
+    stands = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None) & person.c.deactivated_at.is_(None)
+    return (
+        select(share, chosen, _is_unnoted(share.c.last_used_at))
+        .join_from(share, mission, mission.c.id == share.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(person, person.c.id == share.c.created_by_id)
+        .where(share.c.secret_sha256 == hashed, usable, stands)
+    )
 
 
 def _guest(row: Row[Any]) -> Actor:

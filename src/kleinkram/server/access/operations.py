@@ -86,6 +86,11 @@ OPERATIONS: dict[str, Need] = {
     "create_token": Need(On.nothing, None, _ADMIN),
     "list_tokens": Need(On.nothing, None, _ADMIN),
     "revoke_token": Need(On.nothing, None, _ANY),
+    # Links. Who has one sees what it shows; to make one is to let others in, which takes the scope admin.
+    "create_share": Need(On.mission, Right.write, _ADMIN),
+    "list_shares": Need(On.anything, Right.write, _READ),
+    "revoke_share": Need(On.mission, Right.write, _WRITE),
+    "get_share": Need(On.nothing, None, _READ, guests=True),
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),

@@ -125,7 +125,7 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the visible files that match."""
-    return file_rows(narrow_files(visible_files(actor), matching))
+    return file_rows(narrow_files(actor, visible_files(actor), matching))
 
 
 def file_order(sort: FileSort) -> Order:

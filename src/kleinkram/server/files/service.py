@@ -31,6 +31,7 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
+from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
@@ -184,6 +185,7 @@ async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID])
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
         await record_all(db, actor, [_event("file.download", row) for row in rows])
+        await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(site, row) for row in rows]
 
 

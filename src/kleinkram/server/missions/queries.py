@@ -26,7 +26,13 @@ from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_missions, visible_projects
+from kleinkram.server.access.visible import (
+    sees_whole_missions,
+    shown_files,
+    shown_span,
+    visible_missions,
+    visible_projects,
+)
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_missions
 from kleinkram.server.tables import blob, file, mission, person, project
@@ -34,7 +40,7 @@ from kleinkram.server.tables import blob, file, mission, person, project
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 
 
-def _amounts() -> ColumnElement[Any]:
+def _amounts(actor: Actor) -> ColumnElement[Any]:
     # One look at the mission's files for all four numbers, and only for the rows that a page shows.
     # What costs too much to be summarised is read by the proof; bytes that are damaged wait for nothing.
     scanned_later = (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
@@ -43,19 +49,23 @@ def _amounts() -> ColumnElement[Any]:
     return (
         select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
         .join_from(file, blob, blob.c.id == file.c.blob_id)
-        .where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None))
+        .where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
         .correlate(mission)
         .scalar_subquery()
         .label("amounts")
     )
 
 
-def mission_rows(stmt: Select[Any]) -> Select[Any]:
+def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_mission` reads, of a select that began with `visible_missions`."""
+    start_ns, end_ns = shown_span(actor)
     extra = (
         project.c.name.label("project_name"),
         person.c.name.label("created_by_name"),
-        _amounts(),
+        literal(sees_whole_missions(actor)).label("is_whole"),
+        start_ns.label("shown_start_ns"),
+        end_ns.label("shown_end_ns"),
+        _amounts(actor),
     )
     return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
@@ -67,15 +77,15 @@ def to_mission(row: Row[Any]) -> MissionRead:
         id=row.id,
         name=row.name,
         project=ProjectRef(id=row.project_id, name=row.project_name),
-        metadata=row.metadata,
-        metadata_yaml=row.metadata_yaml,
-        metadata_problems=[FieldProblem(**problem) for problem in row.metadata_problems],
-        notes=row.notes,
+        metadata=row.metadata if row.is_whole else {},
+        metadata_yaml=row.metadata_yaml if row.is_whole else None,
+        metadata_problems=[FieldProblem(**problem) for problem in row.metadata_problems if row.is_whole],
+        notes=row.notes if row.is_whole else "",
         completed_at=row.completed_at,
         created_at=row.created_at,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
-        start_ns=row.start_ns,
-        end_ns=row.end_ns,
+        start_ns=row.shown_start_ns,
+        end_ns=row.shown_end_ns,
         file_count=file_count,
         size_bytes=size_bytes,
         message_count=message_count,
@@ -97,7 +107,7 @@ def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
 
 def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return one visible mission as `to_mission` reads it."""
-    return mission_rows(visible_missions(actor).where(mission.c.id == mission_id))
+    return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
 
 
 def hold_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
@@ -121,17 +131,17 @@ def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
 
 def matching_missions(actor: Actor, matching: MissionFilter) -> Select[Any]:
     """Return the visible missions that match."""
-    return mission_rows(narrow_missions(visible_missions(actor), matching))
+    return mission_rows(actor, narrow_missions(actor, visible_missions(actor), matching))
 
 
-def mission_order(sort: MissionSort) -> Order:
+def mission_order(actor: Actor, sort: MissionSort) -> Order:
     """Return a list's order. Missions without a time come last, whichever way the list runs."""
     descending = sort.value.startswith("-")
     unknown = literal(_FIRST if descending else _LAST, BigInteger)
     columns: dict[str, list[ColumnElement[Any]]] = {
         "name": [mission.c.name, project.c.name],
         "created": [mission.c.created_at],
-        "start": [func.coalesce(mission.c.start_ns, unknown)],
+        "start": [func.coalesce(shown_span(actor)[0], unknown)],
     }
     return Order([*columns[sort.value.removeprefix("-")], mission.c.id], descending)
 

@@ -27,6 +27,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
+from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import queries
@@ -98,7 +99,7 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.matching_missions(actor, matching), queries.mission_order(sort), page)
+    rows = await fetch_page(db, queries.matching_missions(actor, matching), queries.mission_order(actor, sort), page)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -115,13 +116,13 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     document = await asyncio.to_thread(read_metadata, wanted.metadata_yaml)
     _, fields = await _project(db, actor, project_id)
     await require_project(db, actor, "create_mission", project_id)
-    mission_id = uuid.uuid4()
+    mission_id, metadata = uuid.uuid4(), satisfying(document, fields)
     statement = insert(mission).values(
         id=mission_id,
         project_id=project_id,
         name=wanted.name,
         name_key=name_key(wanted.name),
-        metadata=satisfying(document, fields),
+        metadata=metadata,
         metadata_yaml=wanted.metadata_yaml,
         notes=wanted.notes,
         created_by_id=actor.person_id,
@@ -131,7 +132,7 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
     made = await get_mission(db, actor, mission_id)
-    after: Metadata = {"name": made.name, "metadata": made.metadata}
+    after: Metadata = {"name": made.name, "metadata": metadata}
     event = Event("mission.create", "mission", mission_id, made.name, project_id, after=after, mission_id=mission_id)
     await record(db, actor, event)
     return made
@@ -151,6 +152,9 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     """
     document = None if changes.metadata_yaml is None else await asyncio.to_thread(read_metadata, changes.metadata_yaml)
     row = await get_mission_row(db, actor, mission_id)
+    # Before anything is said of the project to move it to; and once more when it is held.
+    moves = changes.project_id is not None and changes.project_id != row.project_id
+    await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
     if document is not None or changes.project_id is not None:
         # Project before mission, as where a project's fields change, so that the two never wait for each other.
         await _project(db, actor, changes.project_id or row.project_id)
@@ -214,7 +218,9 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
         NotFound: the project is not there, or not for this actor.
     """
     name, fields = await _project(db, actor, project_id)
-    last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
+    last: Row[Any] | None = None
+    if sees_whole_missions(actor):
+        last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
     text = write_template(fields, project=name, last=(last.name, last.metadata) if last else None)
     return text, queries.to_mission_ref(last) if last else None
 

@@ -3,14 +3,14 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, Update, func, select, type_coerce, update
+from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, Update, func, literal, select, type_coerce, update
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_projects
+from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_recordings, visible_projects
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_projects
 from kleinkram.server.tables import blob, file, mission, person, project, recording
@@ -25,27 +25,30 @@ def _amounts(*numbers: ColumnElement[Any]) -> Select[Any]:
     )
 
 
-def _mission_amounts() -> ColumnElement[Any]:
-    unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
+def _mission_amounts(actor: Actor) -> ColumnElement[Any]:
+    unsatisfied: ColumnElement[Any] = literal(0)
+    if sees_whole_missions(actor):
+        unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
     return _amounts(func.count(), unsatisfied).select_from(mission).scalar_subquery().label("missions")
 
 
-def _file_amounts() -> ColumnElement[Any]:
-    stmt = _amounts(func.count(), func.sum(blob.c.size_bytes)).where(file.c.deleted_at.is_(None))
+def _file_amounts(actor: Actor) -> ColumnElement[Any]:
+    stmt = _amounts(func.count(), func.sum(blob.c.size_bytes)).where(file.c.deleted_at.is_(None), shown_files(actor))
     joined = stmt.join_from(mission, file, file.c.mission_id == mission.c.id).join(blob, blob.c.id == file.c.blob_id)
     return joined.scalar_subquery().label("files")
 
 
-def _duration() -> ColumnElement[Any]:
+def _duration(actor: Actor) -> ColumnElement[Any]:
     stmt = _amounts(func.sum(recording.c.end_ns - recording.c.start_ns))
-    joined = stmt.join_from(mission, recording, recording.c.mission_id == mission.c.id)
+    joined = stmt.join_from(mission, recording, recording.c.mission_id == mission.c.id).where(shown_recordings(actor))
     return joined.scalar_subquery().label("recordings")
 
 
-def project_rows(stmt: Select[Any]) -> Select[Any]:
+def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_project` reads, of a select that began with `visible_projects`."""
     name = person.c.name.label("created_by_name")
-    extra = stmt.add_columns(name, _mission_amounts(), _file_amounts(), _duration())
+    is_whole = literal(sees_whole_missions(actor)).label("is_whole")
+    extra = stmt.add_columns(name, is_whole, _mission_amounts(actor), _file_amounts(actor), _duration(actor))
     return extra.join(person, person.c.id == project.c.created_by_id)
 
 
@@ -56,7 +59,7 @@ def to_project(row: Row[Any]) -> ProjectRead:
     return ProjectRead(
         id=row.id,
         name=row.name,
-        description=row.description,
+        description=row.description if row.is_whole else "",
         metadata_fields=MetadataFields.model_validate(row.metadata_fields),
         created_at=row.created_at,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
@@ -70,7 +73,7 @@ def to_project(row: Row[Any]) -> ProjectRead:
 
 def project_by_id(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
     """Return one visible project."""
-    return project_rows(visible_projects(actor).where(project.c.id == project_id))
+    return project_rows(actor, visible_projects(actor).where(project.c.id == project_id))
 
 
 def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
@@ -81,7 +84,7 @@ def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
 
 def matching_projects(actor: Actor, *, name: str | None, text: str | None) -> Select[Any]:
     """Return the visible projects that match."""
-    return project_rows(narrow_projects(visible_projects(actor), name=name, text=text))
+    return project_rows(actor, narrow_projects(actor, visible_projects(actor), name=name, text=text))
 
 
 def project_order(sort: ProjectSort) -> Order:

@@ -10,7 +10,7 @@ from kleinkram.contract.files import FileProblem, RecordingRead
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.access.visible import shown_recordings, visible_missions
 from kleinkram.server.pages import Order
 from kleinkram.server.tables import blob, file, mission, project, recording
 
@@ -34,7 +34,7 @@ def visible_recordings(actor: Actor) -> Select[Any]:
         _of_members(func.coalesce(func.sum(blob.c.size_bytes), 0), "size_bytes"),
     )
     stmt = visible_missions(actor).with_only_columns(*recording.c, *names, *members, maintain_column_froms=True)
-    return stmt.join(recording, recording.c.mission_id == mission.c.id)
+    return stmt.join(recording, recording.c.mission_id == mission.c.id).where(shown_recordings(actor))
 
 
 def recordings_of(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:

@@ -7,36 +7,41 @@ from unicodedata import normalize
 from sqlalchemy import ColumnElement, Select, Text, and_, bindparam, cast, func, or_, select, type_coerce
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
+from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.where import condition
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 Conditions = list[ColumnElement[bool]]
+_UNSEEN = "what you came with does not show metadata of missions"
 
 
-def narrow_projects(stmt: Select[Any], *, name: str | None, text: str | None) -> Select[Any]:
+def narrow_projects(actor: Actor, stmt: Select[Any], *, name: str | None, text: str | None) -> Select[Any]:
     """Return the projects of a select that match; `text` is found in names and descriptions, word by word."""
     conditions = [matches_key(project.c.name_key, name)] if name is not None else []
-    return stmt.where(*conditions, *_words(text, _project_holds))
+    return stmt.where(*conditions, *_words(text, _project_holds if sees_whole_missions(actor) else _project_is_named))
 
 
-def narrow_missions(stmt: Select[Any], matching: MissionFilter) -> Select[Any]:
+def narrow_missions(actor: Actor, stmt: Select[Any], matching: MissionFilter) -> Select[Any]:
     """Return the missions of a select that match.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    conditions = _place(matching) + _span(matching, mission.c.start_ns, mission.c.end_ns)
+    _refuse_metadata(actor, matching)
+    conditions = _place(matching) + _span(matching, *shown_span(actor))
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, _mission_holds)
+    conditions += _words(matching.text, _mission_holds if sees_whole_missions(actor) else _mission_is_named)
     if matching.topic or matching.message_type:
-        conditions.append(_mission_has_topic(_topic_conditions(matching)))
+        conditions.append(_mission_has_topic([shown_files(actor), *_topic_conditions(matching)]))
     if matching.completed is not None:
         conditions.append(mission.c.completed_at.is_not(None) == matching.completed)
     if matching.satisfied is not None:
@@ -44,12 +49,13 @@ def narrow_missions(stmt: Select[Any], matching: MissionFilter) -> Select[Any]:
     return stmt.where(*conditions)
 
 
-def narrow_files(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
     """Return the files of a select that match.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
+    _refuse_metadata(actor, matching)
     conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _bytes(matching)
     if matching.mission is not None:
         conditions.append(matches_key(mission.c.name_key, matching.mission))
@@ -62,7 +68,8 @@ def narrow_files(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, _file_holds)
+    in_mission = _mission_holds if sees_whole_missions(actor) else _mission_is_named
+    conditions += _words(matching.text, lambda word: or_(_file_holds(word), in_mission(word)))
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return stmt.where(*conditions)
@@ -141,8 +148,24 @@ def _words(text: str | None, holds: Callable[[str], ColumnElement[bool]]) -> Con
     return [holds(word) for word in (text or "").split()]
 
 
+def _refuse_metadata(actor: Actor, matching: MissionFilter | FileFilter) -> None:
+    if sees_whole_missions(actor):
+        return
+    satisfied = isinstance(matching, MissionFilter) and matching.satisfied is not None
+    for expression in [*matching.where, *(["satisfied"] if satisfied else [])]:
+        raise InvalidQuery(expression=expression, reason=_UNSEEN)
+
+
+def _project_is_named(word: str) -> ColumnElement[bool]:
+    return key_holds_word(project.c.name_key, word)
+
+
+def _mission_is_named(word: str) -> ColumnElement[bool]:
+    return or_(key_holds_word(mission.c.name_key, word), key_holds_word(project.c.name_key, word))
+
+
 def _project_holds(word: str) -> ColumnElement[bool]:
-    return or_(key_holds_word(project.c.name_key, word), holds_word(project.c.description, word))
+    return or_(_project_is_named(word), holds_word(project.c.description, word))
 
 
 def _mission_holds(word: str) -> ColumnElement[bool]:
@@ -153,8 +176,7 @@ def _mission_holds(word: str) -> ColumnElement[bool]:
     in_values = select(values.c.value).where(holds_word(as_text, word))
     scalar = func.jsonb_typeof(values.c.value).not_in(["object", "array"])
     return or_(
-        key_holds_word(mission.c.name_key, word),
-        key_holds_word(project.c.name_key, word),
+        _mission_is_named(word),
         holds_word(mission.c.notes, word),
         in_values.where(scalar).exists(),
     )
@@ -163,4 +185,4 @@ def _mission_holds(word: str) -> ColumnElement[bool]:
 def _file_holds(word: str) -> ColumnElement[bool]:
     topics = _blob_has_topic(holds_word(topic.c.name, word))
     labels = holds_word(func.array_to_string(file.c.labels, "\n"), word)
-    return or_(key_holds_word(file.c.path_key, word), labels, topics, _mission_holds(word))
+    return or_(key_holds_word(file.c.path_key, word), labels, topics)

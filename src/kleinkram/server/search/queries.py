@@ -4,12 +4,12 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, cast, distinct, func, null, select
+from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, and_, cast, distinct, func, null, select
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files
+from kleinkram.server.access.visible import shown_recordings, visible_files
 from kleinkram.server.search.matching import narrow_files, narrow_topics
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
@@ -20,7 +20,7 @@ _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 
 def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the topics of the files that match, with those files; topic and type globs narrow the topics too."""
-    return narrow_topics(topic_rows(narrow_files(visible_files(actor), matching)), matching)
+    return narrow_topics(topic_rows(narrow_files(actor, visible_files(actor), matching)), matching)
 
 
 def group_column(by: str) -> ColumnElement[Any] | None:
@@ -77,11 +77,17 @@ def statistics(
 
 
 def _grouped_files(actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool) -> Select[Any]:
-    stmt = narrow_files(visible_files(actor), matching).outerjoin(recording, recording.c.id == file.c.recording_id)
+    own_recording = and_(recording.c.id == file.c.recording_id, shown_recordings(actor))
+    stmt = narrow_files(actor, visible_files(actor), matching).outerjoin(recording, own_recording)
     if by_topic:
         # Files without topics stay, in the group without a name, unless topics were asked for.
         stmt = narrow_topics(stmt.outerjoin(topic, topic.c.blob_id == blob.c.id), matching)
-    own: Sequence[ColumnElement[Any]] = (file.c.id, file.c.mission_id, file.c.recording_id, blob.c.size_bytes)
+    own: Sequence[ColumnElement[Any]] = (
+        file.c.id,
+        file.c.mission_id,
+        recording.c.id.label("recording_id"),
+        blob.c.size_bytes,
+    )
     messages = func.sum(topic.c.count) if by_topic else func.max(blob.c.message_count)
     label = cast(group, Text).label("group")
     chosen = stmt.with_only_columns(label, *own, messages.label("messages"), maintain_column_froms=True)

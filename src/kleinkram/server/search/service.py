@@ -5,6 +5,7 @@ from kleinkram.contract.files import FileFilter, TopicRead
 from kleinkram.contract.paging import Page
 from kleinkram.contract.stats import StatsRead
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.search import queries
@@ -35,6 +36,8 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
     if group is None:
         reason = "statistics go by project, mission, topic, type, month, format or metadata.FIELD"
         raise InvalidQuery(expression=by, reason=reason)
+    if by.startswith("metadata.") and not sees_whole_missions(actor):
+        raise InvalidQuery(expression=by, reason="what you came with does not show metadata of missions")
     by_topic = by in {"topic", "type"}
     grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
     rows = [queries.to_stats(row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]

@@ -1,0 +1,1 @@
+"""Shares: links for people without an account. What one shows is decided in `access`."""

@@ -1,0 +1,255 @@
+"""Links: what one shows, and nothing beside it, by a name, a number or a recording; and how it ends."""
+
+import datetime
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.secrets import is_whole
+from tests.integration import people
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+_HOUR_NS = 3_600_000_000_000
+
+
+def _in(**span: float) -> str:
+    return (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(**span)).isoformat()
+
+
+def _link(api: Api, mission_id: str, **wanted: Any) -> Any:
+    body = {"name": "for a partner", "expires_at": _in(days=1), **wanted}
+    return api.post(f"/missions/{mission_id}/shares", body).ok(201)
+
+
+@dataclass(frozen=True)
+class Outing:
+    """A mission with two files of one recording, a third that is another's, and one more project beside it."""
+
+    project: Any
+    mission: Any
+    first: str
+    second: str
+    other: str
+    split: str
+    alone: str
+
+
+@pytest.fixture
+def outing(api: Api, sample: Sample) -> Outing:
+    """Two halves of a split recording, and one that stands alone and is much longer."""
+    project = api.project(description="the secret of the project")
+    mission = api.mission(project["id"], notes="the secret of the mission", metadata_yaml="robot: anymal\n")
+    topic = {"name": "/imu", "message_type": "sensor_msgs/Imu", "count": 5}
+    halves = [
+        sample.file(
+            mission["id"],
+            f"split_{number}.mcap",
+            topics=[topic],
+            start_ns=number * _HOUR_NS,
+            end_ns=(number + 1) * _HOUR_NS,
+            message_count=5,
+        )
+        for number in range(2)
+    ]
+    other = sample.file(
+        mission["id"],
+        "other.mcap",
+        topics=[{**topic, "name": "/hidden"}],
+        start_ns=5 * _HOUR_NS,
+        end_ns=90 * _HOUR_NS,
+        message_count=7,
+        size_bytes=999,
+    )
+    split = sample.recording(mission["id"], "split", halves, start_ns=0, end_ns=2 * _HOUR_NS)
+    alone = sample.recording(mission["id"], "other", [other], start_ns=5 * _HOUR_NS, end_ns=90 * _HOUR_NS)
+    api.sql("UPDATE mission SET start_ns = 0, end_ns = %s WHERE id = %s", 90 * _HOUR_NS, mission["id"])
+    return Outing(project, mission, *halves, other, split, alone)
+
+
+def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: Outing) -> None:
+    api.mission(outing.project["id"])
+    made = _link(api, outing.mission["id"])
+    assert is_whole(made["secret"])
+    assert made["url"].endswith(f"/s#{made['secret']}")
+    guest = api.as_(made["secret"])
+    shown = guest.get("/share").ok()
+    assert (shown["mission"]["name"], shown["file_count"], shown["size_bytes"]) == (outing.mission["name"], 3, 1199)
+    (mission,) = guest.all("/missions")
+    assert (mission["metadata"], mission["notes"]) == ({"robot": "anymal"}, "the secret of the mission")
+    assert {each["id"] for each in guest.all("/files")} == {outing.first, outing.second, outing.other}
+    assert {each["id"] for each in guest.all(f"/missions/{mission['id']}/recordings")} == {outing.split, outing.alone}
+    assert guest.all("/projects") == []
+    guest.get(f"/projects/{outing.project['id']}").refused(404, "not_found")
+
+
+def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) -> None:
+    guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.first])["secret"])
+    assert {key: guest.get("/share").ok()[key] for key in ("file_count", "size_bytes", "is_whole")} == {
+        "file_count": 1,
+        "size_bytes": 100,
+        "is_whole": False,
+    }
+    (mission,) = guest.all("/missions")
+    numbers = ("file_count", "size_bytes", "message_count", "start_ns", "end_ns")
+    assert [mission[name] for name in numbers] == [1, 100, 5, 0, _HOUR_NS]
+    assert "secret" not in str(mission)
+    assert mission["metadata"] == {}
+    assert guest.get(f"/missions/{mission['id']}").ok() == mission
+
+    assert [each["id"] for each in guest.all("/files")] == [outing.first]
+    assert guest.get("/files", {"count": "true"}).ok()["total"] == 1
+    guest.get(f"/files/{outing.other}").refused(404, "not_found")
+    guest.post("/files/download", {"file_ids": [outing.first, outing.other]}).refused(404, "not_found")
+    assert [each["name"] for each in guest.all("/topics")] == ["/imu"]
+    assert guest.all("/missions", {"topic": "/hidden"}) == []
+    assert guest.all("/missions", {"recorded_after": "1970-01-02T00:00:00Z"}) == []
+    assert len(guest.all("/missions", {"topic": "/imu"})) == 1
+
+    assert guest.all(f"/missions/{mission['id']}/recordings") == [], "half a recording is none to them"
+    for recording in (outing.split, outing.alone):
+        guest.get(f"/recordings/{recording}").refused(404, "not_found")
+    total = guest.get("/stats", {"by": "month"}).ok()["total"]
+    assert [total[name] for name in ("missions", "files", "recordings", "duration_ns")] == [1, 1, 0, 0]
+
+
+def test_a_link_to_both_halves_shows_their_recording(api: Api, outing: Outing) -> None:
+    guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.second])["secret"])
+    assert [each["id"] for each in guest.all(f"/missions/{outing.mission['id']}/recordings")] == [outing.split]
+    total = guest.get("/stats", {"by": "project"}).ok()["total"]
+    assert [total[name] for name in ("files", "recordings", "duration_ns")] == [2, 1, 2 * _HOUR_NS]
+
+
+@pytest.mark.parametrize(
+    ("path", "query"),
+    [
+        ("/missions", {"where": "robot=anymal"}),
+        ("/missions", {"satisfied": "true"}),
+        ("/files", {"where": "robot=anymal"}),
+        ("/stats", {"by": "metadata.robot"}),
+    ],
+)
+def test_what_a_link_to_files_does_not_show_cannot_be_asked_for(
+    api: Api, outing: Outing, path: str, query: dict[str, str]
+) -> None:
+    guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first])["secret"])
+    guest.get(path, query).refused(422, "invalid_query")
+    for nowhere in ("/missions", "/files"):
+        assert guest.all(nowhere, {"text": "secret"}) == []
+        assert guest.all(nowhere, {"text": "anymal"}) == []
+
+
+def test_a_link_only_reads(api: Api, outing: Outing) -> None:
+    guest = api.as_(_link(api, outing.mission["id"])["secret"])
+    mission_id = outing.mission["id"]
+    guest.patch(f"/missions/{mission_id}", {"notes": "x"}).refused(403, "scope_missing")
+    guest.delete(f"/files/{outing.first}").refused(403, "scope_missing")
+    guest.post(f"/missions/{mission_id}/uploads", {"files": [{"path": "a", "size_bytes": 1}]}).refused(
+        403, "scope_missing"
+    )
+    guest.post(f"/missions/{mission_id}/shares", {"name": "x", "expires_at": _in(hours=1)}).refused(
+        403, "scope_missing"
+    )
+    for path in ("/shares", "/tokens", "/audit", "/trash", "/service"):
+        guest.get(path).refused(403, "scope_missing")
+
+
+def test_downloads_are_counted_and_recorded_under_the_link(api: Api, outing: Outing) -> None:
+    made = _link(api, outing.mission["id"])
+    guest = api.as_(made["secret"])
+    guest.post("/files/download", {"file_ids": [outing.first, outing.other]}).ok()
+    guest.post("/files/download", {"file_ids": [outing.first]}).ok()
+    (listed,) = api.all("/shares", {"mission_id": outing.mission["id"]})
+    assert (listed["download_count"], listed["download_bytes"]) == (3, 100 + 999 + 100)
+    assert listed["last_used_at"] is not None
+    assert made["secret"] not in str(listed)
+    fetched = [event for event in api.events(outing.other) if event["operation"] == "file.download"]
+    kept = api.sql("SELECT share_id::text, address FROM audit_event WHERE id = %s", fetched[0]["id"])
+    assert kept == [(made["share"]["id"], "127.0.0.1")]
+
+
+def test_a_link_ends_when_it_is_revoked_expired_or_its_mission_is_gone(api: Api, outing: Outing) -> None:
+    mission_id = outing.mission["id"]
+    revoked, expired, rests = (_link(api, mission_id) for _ in range(3))
+    guests = [api.as_(each["secret"]) for each in (revoked, expired, rests)]
+    for guest in guests:
+        guest.get("/share").ok()
+    api.delete(f"/shares/{revoked['share']['id']}").ok(204)
+    api.delete(f"/shares/{revoked['share']['id']}").ok(204)
+    api.sql("UPDATE share SET expires_at = now() - interval '1 s' WHERE id = %s", expired["share"]["id"])
+    for guest in guests[:2]:
+        guest.get("/share").refused(401, "not_authenticated")
+        guest.get("/files").refused(401, "not_authenticated")
+    assert [each["id"] for each in api.all("/shares", {"mission_id": mission_id})] == [rests["share"]["id"]]
+    ended = api.all("/shares", {"mission_id": mission_id, "ended": "true"})
+    assert {each["id"] for each in ended} == {each["share"]["id"] for each in (revoked, expired, rests)}
+    assert [event["operation"] for event in api.events(revoked["share"]["id"])] == ["share.revoke", "share.create"]
+
+    api.delete(f"/missions/{mission_id}").ok()
+    guests[2].get("/share").refused(401, "not_authenticated")
+    api.post(f"/trash/mission/{mission_id}/restore").ok(204)
+    guests[2].get("/share").ok()
+    api.delete(f"/projects/{outing.project['id']}").ok()
+    guests[2].get("/files").refused(401, "not_authenticated")
+
+
+def test_a_link_ends_with_whoever_made_it(api: Api, outing: Outing) -> None:
+    ada = people.person(api)
+    people.grant(api, ada, Right.write, mission_id=outing.mission["id"])
+    guest = api.as_(_link(api.as_(ada.token), outing.mission["id"])["secret"])
+    guest.get("/share").ok()
+    people.deactivate(api, ada)
+    guest.get("/share").refused(401, "not_authenticated")
+
+
+def test_making_one_takes_write_and_a_token_for_it(api: Api, outing: Outing) -> None:
+    ada = people.person(api)
+    path, body = f"/missions/{outing.mission['id']}/shares", {"name": "x", "expires_at": _in(days=1)}
+    hers = api.as_(ada.token)
+    hers.post(path, body).refused(404, "not_found")
+    people.grant(api, ada, Right.create, mission_id=outing.mission["id"])
+    hers.post(path, body).refused(403, "forbidden")
+    people.grant(api, ada, Right.write, mission_id=outing.mission["id"])
+    hers.post(path, body).ok(201)
+    api.as_(people.token(api, ada, [Scope.write]).secret).post(path, body).refused(403, "scope_missing")
+
+
+@pytest.mark.parametrize(
+    "expires", [{}, {"expires_at": None}, {"expires_at": _in(days=-1)}, {"expires_at": _in(days=91)}]
+)
+def test_a_link_must_end_and_within_what_the_settings_allow(api: Api, outing: Outing, expires: dict[str, Any]) -> None:
+    body = {"name": "x", **expires}
+    refused = api.post(f"/missions/{outing.mission['id']}/shares", body).refused(422, "invalid_request")
+    assert "expires_at" in refused["detail"]
+
+
+def test_a_link_is_to_files_of_its_mission(api: Api, sample: Sample, outing: Outing) -> None:
+    elsewhere = sample.file(api.mission(outing.project["id"])["id"], "a.mcap")
+    body = {"name": "x", "expires_at": _in(days=1), "file_ids": [outing.first, elsewhere]}
+    api.post(f"/missions/{outing.mission['id']}/shares", body).refused(404, "not_found")
+
+
+def test_its_maker_and_those_who_may_write_end_it(api: Api, outing: Outing) -> None:
+    mission_id = outing.mission["id"]
+    ada, bob = people.person(api), people.person(api)
+    people.grant(api, ada, Right.write, mission_id=mission_id)
+    hers = api.as_(ada.token)
+    first, second = (_link(hers, mission_id)["share"]["id"] for _ in range(2))
+    bobs = api.as_(bob.token)
+    bobs.delete(f"/shares/{first}").refused(404, "not_found")
+    people.grant(api, bob, Right.read, mission_id=mission_id)
+    bobs.delete(f"/shares/{first}").refused(403, "forbidden")
+    assert bobs.all("/shares") == []
+    people.grant(api, bob, Right.write, mission_id=mission_id)
+    assert {each["id"] for each in bobs.all("/shares")} == {first, second}
+    bobs.delete(f"/shares/{first}").ok(204)
+    api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
+    assert [each["id"] for each in hers.all("/shares")] == [second], "what one made, one finds again"
+    hers.delete(f"/shares/{second}").ok(204)
+
+
+def test_without_a_link_there_is_nothing_to_show(api: Api) -> None:
+    api.get("/share").refused(404, "not_found")
+    api.as_(None).get("/share").refused(404, "not_found")
