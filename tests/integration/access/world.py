@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kleinkram.contract.rights import Right, TokenKind
+from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.access.owner import OWNER_ID
 from tests.integration import people
 from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach
@@ -145,7 +146,7 @@ def _placed(api: Api, place: Place, things: Things, carriers: Sequence[Carrier])
         else:
             people.join(api, who, group_id, expires_s=_PAST_S if carrier.name == "expired member" else None)
         if carrier.name == "admin whose membership of the admins expired":
-            people.join(api, who, str(people.ADMINS_ID), expires_s=_PAST_S)
+            people.join(api, who, str(ADMINS_ID), expires_s=_PAST_S)
         reached = {
             Reach.project: [things.project, things.target, things.trashed_project],
             Reach.mission: [things.mission, things.trashed_mission, things.target],
