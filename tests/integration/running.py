@@ -153,7 +153,9 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path) -> Ite
     token_file.write_text(token)
     app = create_app(Settings(**settings, owner_token_file=token_file))
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, server_header=False))
+    server = uvicorn.Server(
+        uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
+    )
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="api")
     thread.start()
     database = psycopg.connect(admin_url, autocommit=True)

@@ -48,6 +48,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.SignInRefused: ExitCode.not_allowed,
     remote.CodeGone: ExitCode.timed_out,
     remote.ProviderUnavailable: ExitCode.unreachable,
+    remote.RateLimited: ExitCode.unreachable,
     remote.Forbidden: ExitCode.not_allowed,
     remote.ScopeMissing: ExitCode.not_allowed,
     remote.TokenTooWide: ExitCode.not_allowed,

@@ -4,6 +4,7 @@ Never moves the bytes of files; those go straight to the store (`transfer/`). Sa
 """
 
 import json
+import math
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +31,7 @@ CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
 PATIENCE_S = 4.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
+_TOO_OFTEN = 429
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 
 
@@ -155,6 +157,8 @@ class Api:
                 raise remember_request(self._unreachable(error), request_id) from error
             if answer.status < 300:
                 return answer
+            if answer.status == _TOO_OFTEN and backoff.obey(_retry_after_s(answer.headers)):
+                continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
                 continue
             raise self._failure(f"{method} {path}", answer, request_id)
@@ -206,9 +210,10 @@ def _said(body: bytes) -> str:
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:
     try:
-        return min(float(headers.get("Retry-After", "0")), 60.0)
+        wait_s = float(headers.get("Retry-After", "0"))
     except ValueError:
         return 0.0
+    return wait_s if math.isfinite(wait_s) else 0.0
 
 
 def reason_of(error: BaseException) -> str:

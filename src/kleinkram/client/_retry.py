@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 FIRST_WAIT_S = 0.25
 LONGEST_WAIT_S = 4.0
+# How long in all a request waits because the server said so: a limit on how often one may ask ends within a minute.
+LONGEST_TOLD_S = 90.0
 
 
 class Backoff:
@@ -18,11 +20,21 @@ class Backoff:
         self._began_at = time.monotonic()
         self._ends_at = self._began_at + patience_s
         self._next_s = FIRST_WAIT_S
+        self._told_left_s = LONGEST_TOLD_S
         self._wait = wait
 
     def lasting_s(self) -> float:
         """Return for how long it has been tried."""
         return time.monotonic() - self._began_at
+
+    def obey(self, wait_s: float) -> bool:
+        """Wait as long as the server says, which costs no patience; return False, without waiting, for too long."""
+        if not 0 < wait_s <= self._told_left_s:
+            return False
+        self._told_left_s -= wait_s
+        self._ends_at += wait_s
+        self._wait(wait_s)
+        return True
 
     def pause(self, at_least_s: float = 0.0) -> bool:
         """Wait before the next try; return False, without waiting, when patience has run out."""

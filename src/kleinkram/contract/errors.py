@@ -23,6 +23,7 @@ class ErrorCode(str, enum.Enum):
     sign_in_refused = "sign_in_refused"
     code_gone = "code_gone"
     provider_unavailable = "provider_unavailable"
+    rate_limited = "rate_limited"
     forbidden = "forbidden"
     scope_missing = "scope_missing"
     token_too_wide = "token_too_wide"  # noqa: S105  the code's name
@@ -166,6 +167,18 @@ class ProviderUnavailable(KleinkramError):
     status = 503
     provider: str
     reason: str
+
+
+@dataclass(eq=False)
+class RateLimited(KleinkramError):
+    """That was too often: at most {most} {what} in {per_s} s are allowed. Try again in {retry_after_s} s."""
+
+    code = ErrorCode.rate_limited
+    status = 429
+    what: str
+    most: int
+    per_s: int
+    retry_after_s: int
 
 
 @dataclass(eq=False)

@@ -78,6 +78,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
+        proxy_headers=False,  # `proxies` decides whom to believe
         timeout_graceful_shutdown=10,
     )
 

@@ -66,7 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.queue = queue
-    app.add_middleware(Envelope, body_limit_bytes=settings.body_limit_bytes)
+    app.add_middleware(Envelope, settings=settings)
     install_handlers(app)
     for router in (
         probes,

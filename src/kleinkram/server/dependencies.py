@@ -10,6 +10,7 @@ from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, find_actor, find_signed_in
 from kleinkram.server.access.rights import admit
 from kleinkram.server.db import Connection, Database
+from kleinkram.server.rates import limit_expensive
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 from kleinkram.server.storage import Storage
@@ -52,6 +53,7 @@ async def _actor(
     actor = who.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
+    await limit_expensive(database, request.app.state.settings, actor, has_text="text" in request.query_params)
     return actor
 
 

@@ -1,4 +1,4 @@
-"""What every answer has in common: a request id, a bounded body, and failures as problem documents."""
+"""What every answer has in common: a request id, a bounded body, guarding headers, failures as problem documents."""
 
 import json
 import logging
@@ -21,21 +21,27 @@ from kleinkram.contract.errors import (
     KleinkramError,
     MethodNotAllowed,
     NotFound,
+    RateLimited,
     to_problem,
 )
 from kleinkram.server import measures
 from kleinkram.server.audit.refusals import Refusal, Refusals
+from kleinkram.server.headers import guarded
+from kleinkram.server.proxies import set_asker
+from kleinkram.server.settings import Settings
 
 _log = logging.getLogger("kleinkram.http")
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
 class Envelope:
-    """ASGI middleware: names each request, bounds its body, logs and counts its answer."""
+    """ASGI middleware: names each request and where it is from, bounds its body, guards, logs and counts its answer."""
 
-    def __init__(self, app: ASGIApp, *, body_limit_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, *, settings: Settings) -> None:
         self._app = app
-        self._body_limit_bytes = body_limit_bytes
+        self._body_limit_bytes = settings.body_limit_bytes
+        self._trusted = settings.trusted_proxies
+        self._is_https = settings.public_url.startswith("https://")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -46,6 +52,7 @@ class Envelope:
         given = headers.get(b"x-request-id", b"")
         request_id = given.decode() if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = request_id
+        set_asker(scope, scope["headers"], self._trusted)
         started = time.perf_counter()
         status = 500
 
@@ -53,7 +60,8 @@ class Envelope:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode())]
+                named = [*message["headers"], (b"x-request-id", request_id.encode())]
+                message["headers"] = guarded(named, is_https=self._is_https)
             await send(message)
 
         try:
@@ -97,6 +105,8 @@ def problem_response(error: KleinkramError, request_id: str | None) -> JSONRespo
     """Return the answer that an error stands for."""
     problem = to_problem(error, request_id)
     headers = {"Retry-After": "2"} if error.status == 503 else {}
+    if isinstance(error, RateLimited):
+        headers["Retry-After"] = str(error.retry_after_s)
     if error.status == 401:
         headers["WWW-Authenticate"] = "Bearer"
     return JSONResponse(

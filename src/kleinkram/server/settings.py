@@ -1,13 +1,23 @@
 """Settings, read once from the environment when a process starts. Every one is described in the settings reference."""
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
-from pydantic import Field, PostgresDsn, SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import BeforeValidator, Field, PostgresDsn, SecretStr
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from kleinkram.server.proxies import Network
 
 Seconds = Annotated[float, Field(gt=0)]
+PerMinute = Annotated[int, Field(ge=0)]
+
+
+def _networks(text: object) -> object:
+    if not isinstance(text, str):
+        return text
+    return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
 
 
 class Settings(BaseSettings):
@@ -50,9 +60,30 @@ class Settings(BaseSettings):
     owner_token_file: Annotated[
         Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
     ] = None
+    trusted_proxies: Annotated[
+        tuple[Network, ...],
+        NoDecode,
+        BeforeValidator(_networks),
+        Field(
+            description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
+        ),
+    ] = ()
     log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
+    sign_ins_per_minute: Annotated[
+        PerMinute, Field(description="Tries to sign in, for one address and for one account; 0: any number.")
+    ] = 10
+    searches_per_minute: Annotated[
+        PerMinute,
+        Field(description="Searches by text or topic, and statistics, for one token, session or link; 0: any number."),
+    ] = 300
+    downloads_per_minute: Annotated[
+        PerMinute, Field(description="Requests for addresses of files to fetch (500 each), likewise.")
+    ] = 600
+    uploads_per_minute: Annotated[PerMinute, Field(description="Requests that announce files to send, likewise.")] = 600
+    proofs_per_minute: Annotated[PerMinute, Field(description="Files to be read again, likewise.")] = 600
+    exports_per_minute: Annotated[PerMinute, Field(description="Exports of the record, likewise.")] = 6
     upload_lease_s: Annotated[
         Seconds, Field(description="How long a name stays held after the last part was signed.")
     ] = 60

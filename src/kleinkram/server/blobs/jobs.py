@@ -27,6 +27,7 @@ from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, give
 from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, hasten, queue
 from kleinkram.server.jobs.retention import forget_ended
+from kleinkram.server.rates import forget_counts
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.site import Site
 from kleinkram.server.trash.emptying import empty_trash
@@ -170,6 +171,7 @@ async def sweep_once(site: Site) -> None:
         await regroup_forgotten(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
         await forget_ended(db)
+        await forget_counts(db)
         await empty_trash(db, older_than_days=site.settings.trash_days, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
         await service.doom_unreferenced(db, limit=_SWEEP_BATCH)

@@ -1,0 +1,121 @@
+"""How often something may be asked: counted in the database, so that all processes count together.
+
+A count begins anew every `WINDOW_S`, so at a boundary twice as much may pass in a moment. Who asks is kept as a hash.
+Fails closed: where the database cannot count, the request is not answered, as it could not have been anyway. The table
+is not written ahead: after a crash of the database all counts begin anew.
+"""
+
+import datetime
+import hashlib
+import ipaddress
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from sqlalchemy import delete, func
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.contract.errors import RateLimited
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import Connection, Database
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import rate_count
+
+WINDOW_S = 60
+# Behind one address may be a whole lab.
+_PER_ADDRESS = 10
+_WINDOW = datetime.timedelta(seconds=WINDOW_S)
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+_IPV6_SUBNET = 64
+_EXPENSIVE = {
+    "get_stats": "searches",
+    "list_topics": "searches",
+    "download_files": "downloads",
+    "begin_uploads": "uploads",
+    "prove_file": "proofs",
+    "export_audit_events": "exports",
+}
+_LISTS = frozenset({"list_projects", "list_missions", "list_files"})
+_MOST: Mapping[str, Callable[[Settings], int]] = {
+    "searches": lambda settings: settings.searches_per_minute,
+    "downloads": lambda settings: settings.downloads_per_minute,
+    "uploads": lambda settings: settings.uploads_per_minute,
+    "proofs": lambda settings: settings.proofs_per_minute,
+    "exports": lambda settings: settings.exports_per_minute,
+}
+
+
+@dataclass(frozen=True)
+class Count:
+    """One more of `what` (in words, such as "sign-ins") by `who`, of which there may be `most` in a window."""
+
+    what: str
+    who: str
+    most: int
+
+    @property
+    def key(self) -> str:
+        """Under which it is counted; says nothing of who it is."""
+        return f"{self.what}:{hashlib.sha256(self.who.encode()).hexdigest()[:32]}"
+
+
+async def limit(database: Database, *counts: Count) -> None:
+    """Count one more of each, in a transaction of its own: what is refused or fails counts too. `most` 0 is no limit.
+
+    Raises:
+        RateLimited: there were more than `most` of one of them; says when it may be tried again.
+    """
+    held = {each.key: each for each in counts if each.most > 0}
+    if not held:
+        return
+    window = func.date_bin(_WINDOW, func.now(), _EPOCH)
+    # In the order of their keys, so that two who count the same never wait for each other.
+    rows = [{"key": key, "window_start": window, "count": 1} for key in sorted(held)]
+    statement = upsert(rate_count).values(rows)
+    statement = statement.on_conflict_do_update(
+        index_elements=["key", "window_start"], set_={"count": rate_count.c.count + 1}
+    )
+    left_s = func.ceil(func.extract("epoch", rate_count.c.window_start + _WINDOW - func.now()))
+    async with database.begin() as db:
+        counted = rate_count.c.count.label("asked")
+        found = (await db.execute(statement.returning(rate_count.c.key, counted, left_s.label("left_s")))).all()
+    for row in found:
+        most = held[row.key].most
+        if row.asked > most:
+            raise RateLimited(what=held[row.key].what, most=most, per_s=WINDOW_S, retry_after_s=max(1, int(row.left_s)))
+
+
+def counts_of(actor: Actor, what: str, most: int) -> list[Count]:
+    """Return what one more request of an actor counts for: their token, session or link, and their address."""
+    credential = actor.token_id or actor.session_id or actor.share_id
+    by_address = most if credential is None else most * _PER_ADDRESS
+    counts = [] if credential is None else [Count(what, str(credential), most)]
+    return counts if actor.address is None else [*counts, Count(what, neighbourhood(actor.address), by_address)]
+
+
+async def limit_expensive(database: Database, settings: Settings, actor: Actor, *, has_text: bool) -> None:
+    """Count a request that is expensive; lists are where they look into texts (`has_text`).
+
+    Raises:
+        RateLimited: the same asked for too many of its kind.
+    """
+    what = _EXPENSIVE.get(actor.operation or "")
+    if what is None and has_text and actor.operation in _LISTS:
+        what = "searches"
+    if what is not None:
+        await limit(database, *counts_of(actor, what, _MOST[what](settings)))
+
+
+def neighbourhood(address: str) -> str:
+    """Return the part of an address that one subscriber holds: all of IPv4, the first 64 bits of IPv6."""
+    try:
+        parsed = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if parsed.version == 4:
+        return str(parsed)
+    return str(ipaddress.ip_network((parsed, _IPV6_SUBNET), strict=False))
+
+
+async def forget_counts(db: Connection) -> None:
+    """Drop the counts of windows that are over."""
+    await db.execute(delete(rate_count).where(rate_count.c.window_start < func.now() - 2 * _WINDOW))

@@ -1,0 +1,70 @@
+"""What every answer says to browsers, and whom a proxy may speak for."""
+
+import pytest
+import urllib3
+
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+
+GUARDS = {
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+def _headers(api: Api, method: str, path: str, token: str | None, body: bytes | None = None) -> dict[str, str]:
+    sent = {} if token is None else {"Authorization": f"Bearer {token}"}
+    answer = urllib3.request(method, f"{api.url}{path}", headers=sent, body=body, redirect=False)
+    assert len(answer.headers) == len({name.lower() for name in answer.headers}), "no header is said twice"
+    return {name.lower(): value for name, value in answer.headers.items()}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "with_token", "body"),
+    [
+        ("GET", "/api/v1/projects", True, None),
+        ("GET", "/api/v1/projects", False, None),
+        ("GET", "/api/v1/service", False, None),
+        ("GET", "/api/v1/nowhere", True, None),
+        ("DELETE", "/api/v1/projects", True, None),
+        ("POST", "/api/v1/projects", True, b"{"),
+        ("POST", "/api/v1/projects", True, b"x" * 5_000_000),
+        ("GET", "/api/v1/audit/export?until=2000-01-01", True, None),
+        ("GET", "/health/live", False, None),
+        ("GET", "/metrics", False, None),
+        ("GET", "/openapi.json", False, None),
+    ],
+)
+def test_every_answer_is_guarded(api: Api, method: str, path: str, with_token: bool, body: bytes | None) -> None:
+    headers = _headers(api, method, path, api.token if with_token else None, body)
+    assert headers.items() >= GUARDS.items()
+    policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
+    assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == policy["form-action"] == "'none'"
+    assert "strict-transport-security" not in headers
+    assert "server" not in headers
+
+
+def test_behind_tls_browsers_are_told_to_stay_there(start_api: StartApi) -> None:
+    api = start_api(public_url="https://lab.example")
+    assert _headers(api, "GET", "/health/live", None)["strict-transport-security"] == "max-age=31536000"
+
+
+def _address_noted(api: Api, **headers: str) -> str:
+    answer = api.as_(None).call("PATCH", "/projects/x", {}, headers={"X-Request-Id": "mine", **headers})
+    answer.refused(401, "not_authenticated")
+    return str(api.all("/audit", {"operation": "a*"})[0]["address"])
+
+
+def test_nobody_is_believed_about_where_a_request_comes_from(api: Api) -> None:
+    assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "127.0.0.1"
+    assert _address_noted(api, Forwarded="for=203.0.113.9") == "127.0.0.1"
+
+
+def test_a_trusted_proxy_is_believed_and_what_it_was_told_is_not(start_api: StartApi) -> None:
+    api = start_api(trusted_proxies="127.0.0.0/8, 10.0.0.0/8")
+    assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "203.0.113.9"
+    assert _address_noted(api, **{"X-Forwarded-For": "192.0.2.1, 203.0.113.9, 10.1.1.1"}) == "203.0.113.9"
