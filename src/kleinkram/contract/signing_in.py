@@ -103,6 +103,7 @@ class MeRead(BaseModel):
 
     person: PersonRef
     emails: list[str]
+    groups: list[str]
     is_admin: bool
     credential: CredentialRead
 

@@ -13,6 +13,12 @@ from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit.routes import router as audit
+from kleinkram.server.auth.claiming import offer_claim
+from kleinkram.server.auth.login_routes import login_router, me_router, people_router
+from kleinkram.server.auth.page_routes import router as sign_in_pages
+from kleinkram.server.auth.passwords import Passwords
+from kleinkram.server.auth.providers import open_providers
+from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.health.routes import probes
@@ -40,14 +46,18 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = open_database(settings)
-        async with open_storage(settings) as store:
+        async with open_storage(settings) as store, open_providers(settings) as providers:
             abilities = await probe(store)
             owner_token = await _read_owner_token(settings)
             async with database.begin() as db:
                 await record_probe(db, settings.store_id, abilities)
                 if owner_token:
                     await ensure_owner(db, owner_token)
+                else:
+                    await offer_claim(db)
             app.state.database = database
+            app.state.providers = providers
+            app.state.passwords = Passwords()
             app.state.storage = store.with_abilities(abilities)
             _log.info(
                 "serving", extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}}
@@ -82,6 +92,8 @@ def create_app(settings: Settings) -> FastAPI:
         shares,
         audit,
     ):
+        app.include_router(router)
+    for router in (auth, login_router, me_router, people_router, sign_in_pages):
         app.include_router(router)
     _see_that_all_are_guarded(app)
     return app

@@ -8,7 +8,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, find_actor, find_signed_in
-from kleinkram.server.access.rights import admit
+from kleinkram.server.access.rights import admit, is_door
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.rates import limit_expensive
 from kleinkram.server.settings import Settings
@@ -48,6 +48,7 @@ async def _actor(
     credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
 ) -> Actor:
     who = await _who(request, database, credentials)
+    who = await _who(request, database, credentials, is_door=is_door(operation))
     operation: str = request.scope["route"].operation_id
     address = request.client.host if request.client else None
     actor = who.asking(operation, request_id=request.state.request_id, address=address)
@@ -57,7 +58,9 @@ async def _actor(
     return actor
 
 
-async def _who(request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None) -> Actor:
+async def _who(
+    request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None, *, is_door: bool
+) -> Actor:
     cookie = request.cookies.get(session_cookie(request.app.state.settings))
     if "authorization" not in request.headers and cookie is None:
         return STRANGER
@@ -67,7 +70,9 @@ async def _who(request: Request, database: Database, credentials: HTTPAuthorizat
         if credentials is not None:
             found = await find_actor(db, credentials.credentials)
         else:
-            found = await find_signed_in(db, str(cookie))
+            found = await find_signed_in(db, str(cookie), idle_s=request.app.state.settings.session_idle_s)
+    if found is None and credentials is None and is_door:
+        return STRANGER  # whoever's session has ended may sign in again
     if found is None:
         raise NotAuthenticated(reason="the token is not valid here" if credentials else "the session has ended")
     if credentials is None:

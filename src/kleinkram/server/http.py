@@ -125,11 +125,12 @@ async def _on_failure(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, KleinkramError):
         raise error
     if error.status in {401, 403}:
-        await _note_refusal(request, error)
+        await note_refusal(request, error)
     return problem_response(error, _request_id(request))
 
 
-async def _note_refusal(request: Request, error: KleinkramError) -> None:
+async def note_refusal(request: Request, error: KleinkramError) -> None:
+    """Put into the record that a request was refused."""
     state = request.app.state
     if not hasattr(state, "refusals"):
         state.refusals = Refusals()

@@ -20,6 +20,45 @@ def _networks(text: object) -> object:
     return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
 
 
+class OpenTo(str, enum.Enum):
+    """Who gets an account by signing in for the first time."""
+
+    anybody = "anybody"  # whoever the provider knows
+    trusted_domains = "trusted_domains"  # whoever has a verified address of a domain that the provider is trusted for
+    invited = "invited"  # of those, whoever was invited under that address
+
+
+class OidcProvider(BaseModel):
+    """One OpenID Connect provider. Its word on an address counts for `trusted_domains` alone; `*` is every domain."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9-]{1,32}$")]
+    title: Annotated[str, Field(min_length=1, max_length=64)]
+    issuer: str
+    client_id: Annotated[str, Field(min_length=1)]
+    client_secret: SecretStr | None = None
+    client_secret_file: Path | None = None
+    client_auth: Literal["client_secret_basic", "client_secret_post", "none"] = "client_secret_basic"
+    scopes: tuple[str, ...] = ("openid", "profile", "email")
+    trusted_domains: tuple[EmailDomain | Literal["*"], ...] = ()
+    open_to: OpenTo = OpenTo.trusted_domains
+    timeout_s: Seconds = 10
+
+    @field_validator("issuer")
+    @classmethod
+    def _is_safe(cls, issuer: str) -> str:
+        parts = urlsplit(issuer)
+        is_near = parts.scheme == "http" and parts.hostname in {"127.0.0.1", "localhost", "::1"}
+        if not (parts.scheme == "https" or is_near) or not parts.hostname or parts.query or parts.fragment:
+            raise ValueError("must be an https address (http only on this machine), without query and fragment")
+        return issuer
+
+    def trusts(self, domain: str) -> bool:
+        """Say whether its word on addresses of exactly this domain counts."""
+        return "*" in self.trusted_domains or domain in self.trusted_domains
+
+
 class Settings(BaseSettings):
     """What one server process needs to know. Names in the environment: `KLEINKRAM_` and the name in capitals."""
 
@@ -68,6 +107,24 @@ class Settings(BaseSettings):
             description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
         ),
     ] = ()
+    oidc_providers: Annotated[
+        tuple[OidcProvider, ...],
+        Field(description="Who says who people are: a JSON list of OpenID Connect providers (see the sign-in page)."),
+    ] = ()
+    local_accounts: Annotated[bool, Field(description="Whether one may sign in with an address and a password.")] = True
+    session_idle_s: Annotated[Seconds, Field(description="After how long unused a browser is signed out.")] = (
+        14 * 86_400
+    )
+    session_s: Annotated[Seconds, Field(description="After how long it is signed out in any case.")] = 90 * 86_400
+    login_token_days: Annotated[
+        int, Field(ge=1, le=3650, description="How long a token that `klein login` gets is good for.")
+    ] = 90
+    owner_link_s: Annotated[
+        Seconds, Field(description="How long the link is good by which the owner of `klein up` signs in.")
+    ] = 900
+    invitation_s: Annotated[Seconds, Field(description="How long an invitation is good.")] = 7 * 86_400
+    reset_link_s: Annotated[Seconds, Field(description="How long a link to a new password is good.")] = 86_400
+
     log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
@@ -102,6 +159,14 @@ class Settings(BaseSettings):
         int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
     ] = 1024**3
     summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+
+    @field_validator("oidc_providers")
+    @classmethod
+    def _are_told_apart(cls, providers: tuple[OidcProvider, ...]) -> tuple[OidcProvider, ...]:
+        for each in ("name", "issuer"):
+            if len({getattr(provider, each) for provider in providers}) < len(providers):
+                raise ValueError(f"two providers have the same {each}")
+        return providers
 
     @property
     def public_origin(self) -> str:

@@ -109,11 +109,12 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
     return _guest(row)
 
 
-async def find_signed_in(db: Connection, secret: str) -> Actor | None:
-    """Return whose browser's session it is, or None where it is unknown, expired or revoked, or they left."""
+async def find_signed_in(db: Connection, secret: str, *, idle_s: float) -> Actor | None:
+    """Return whose browser's session it is, or None where it is unknown, over, revoked or idle, or they left."""
     known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
     stmt = _people(session.c.id.label("session_id"), _is_unnoted(session.c.last_used_at)).join_from(session, person)
-    row = (await db.execute(stmt.where(known, session.c.expires_at > func.now()))).one_or_none()
+    in_use = session.c.last_used_at > func.now() - datetime.timedelta(seconds=idle_s)
+    row = (await db.execute(stmt.where(known, in_use, session.c.expires_at > func.now()))).one_or_none()
     if row is None:
         return None
     if row.use_is_unnoted:

@@ -2,13 +2,15 @@
 
 import uuid
 
-from sqlalchemy import insert, select
+from sqlalchemy import func, insert, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 
+from kleinkram.contract.emails import email_key
 from kleinkram.contract.names import name_key
 from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.server.access.belonging import join_by_address
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import access_grant, access_group, membership, person
+from kleinkram.server.tables import access_grant, access_group, membership, person, person_email
 
 # Fixed, and made with the schema.
 ADMINS_ID = uuid.UUID("61646d69-6e73-4000-8000-000000000001")
@@ -32,6 +34,24 @@ async def own_group(db: Connection, person_id: uuid.UUID | None) -> uuid.UUID:
     found = select(access_group.c.id).where(access_group.c.person_id == person_id)
     group_id: uuid.UUID = (await db.execute(found)).scalar_one()
     return group_id
+
+
+async def prove_address(db: Connection, person_id: uuid.UUID, email: str, *, by: str) -> bool:
+    """Note that an address is somebody's, by whose word, and put them into the groups that follow from it.
+
+    Returns whether it is theirs now: an address that is another person's stays that person's.
+    """
+    values = {"email_key": email_key(email), "email": email, "person_id": person_id}
+    row = upsert(person_email).values(**values, verified_at=func.now(), verified_by=by)
+    proven = row.on_conflict_do_update(
+        index_elements=["email_key"],
+        set_={"email": email, "verified_at": func.now(), "verified_by": by},
+        where=person_email.c.person_id == person_id,
+    )
+    if (await db.execute(proven.returning(person_email.c.email_key))).first() is None:
+        return False
+    await join_by_address(db, person_id, email)
+    return True
 
 
 async def make_admin(db: Connection, person_id: uuid.UUID) -> None:

@@ -21,13 +21,17 @@ class On(str, enum.Enum):
 
 @dataclass(frozen=True)
 class Need:
-    """What an operation takes. `guests`: also without an account, on what is public or shared by a link."""
+    """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
+
+    `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
+    """
 
     on: On
     right: Right | None
     scopes: frozenset[Scope]
     guests: bool = False
     runners: bool = False
+    browsers: bool = False
 
 
 _NAMES = frozenset({Scope.read, Scope.upload})
@@ -40,6 +44,10 @@ _ANY = frozenset(Scope)
 
 def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Need:
     return Need(On.anything, Right.read, scopes, guests)
+
+
+def _door() -> Need:
+    return Need(On.nothing, None, _ANY, guests=True)
 
 
 OPERATIONS: dict[str, Need] = {
@@ -96,3 +104,33 @@ OPERATIONS: dict[str, Need] = {
     "export_audit_events": Need(On.project, Right.delete, _READ),
     "get_service": Need(On.nothing, None, _ANY, runners=True),
 }
+    # Signing in: whoever has a password or a code needs no account yet
+    "list_sign_in_ways": _door(),
+    "sign_in_by_password": _door(),
+    "sign_in_by_link": _door(),
+    "look_at_code": _door(),
+    "accept_invitation": _door(),
+    "reset_password": _door(),
+    "claim_server": _door(),
+    "begin_provider_sign_in": _door(),
+    "end_provider_sign_in": _door(),
+    "begin_device_login": _door(),
+    "exchange_device_code": _door(),
+    "exchange_cli_code": _door(),
+    "sign_out": _door(),
+    # Oneself
+    "get_me": Need(On.nothing, None, _ANY, runners=True),
+    "list_sessions": Need(On.nothing, None, _ADMIN),
+    "end_session": Need(On.nothing, None, _ADMIN),
+    "end_all_sessions": Need(On.nothing, None, _ADMIN),
+    "list_identities": Need(On.nothing, None, _ADMIN),
+    "create_owner_link": Need(On.server, None, _ADMIN),
+    "change_password": Need(On.nothing, None, _ADMIN, browsers=True),
+    "link_provider": Need(On.nothing, None, _ADMIN, browsers=True),
+    "approve_cli_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "look_at_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "approve_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "deny_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    # Accounts
+    "invite_person": Need(On.server, None, _ADMIN),
+    "create_reset_link": Need(On.server, None, _ADMIN),

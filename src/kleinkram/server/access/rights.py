@@ -34,8 +34,16 @@ def admit(actor: Actor, operation: str) -> None:
         raise ScopeMissing(operation=_words(operation), scopes="a person's token")
     if not need.scopes & actor.scopes:
         raise ScopeMissing(operation=_words(operation), scopes=" or ".join(sorted(need.scopes)))
+    if need.browsers and actor.session_id is None:
+        raise ScopeMissing(operation=_words(operation), scopes="a browser that is signed in")
     if need.on is On.server and not actor.is_admin:
         raise Forbidden(noun="server", operation=_words(operation), needs="an admin")
+
+
+def is_door(operation: str) -> bool:
+    """Say whether an operation is for whoever comes, about nothing that is there: signing in."""
+    need = OPERATIONS[operation]
+    return need.guests and need.on is On.nothing
 
 
 async def require_project(db: Connection, actor: Actor, operation: str, project_id: uuid.UUID) -> None:

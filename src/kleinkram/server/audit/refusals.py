@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.metadata import Metadata
-from kleinkram.server.access.actor import STRANGER, Actor
+from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Database
 
@@ -33,7 +33,8 @@ class Refusal:
     @property
     def operation(self) -> str:
         """What the record calls it."""
-        return "auth.refused" if self.actor is None else "access.denied"
+        is_known = self.actor is not None and self.actor.kind is not ActorKind.stranger
+        return "access.denied" if is_known else "auth.refused"
 
     @property
     def who(self) -> Actor:

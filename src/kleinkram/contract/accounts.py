@@ -1,0 +1,195 @@
+"""Accounts: signing in by a browser, passwords, links that are good once, and who asks for a token.
+
+A link's code stands behind the `#` of its URL, which browsers keep to themselves: no log and no proxy sees it.
+"""
+
+import datetime
+import unicodedata
+import uuid
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from kleinkram.contract.emails import EmailAddress
+from kleinkram.contract.names import check_text
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.signing_in import ClientName
+
+MIN_PASSWORD_CHARACTERS = 10
+MAX_PASSWORD_CHARACTERS = 256
+MAX_PERSON_NAME_CHARACTERS = 128
+
+
+def check_person_name(name: str) -> str:
+    """Return somebody's name in NFC, or say why it cannot be one.
+
+    Raises:
+        ValueError: it has control characters, or spaces around it, or nothing in it.
+    """
+    name = unicodedata.normalize("NFC", name)
+    if not name or name != name.strip() or not name.isprintable():
+        raise ValueError("is empty, begins or ends with a space, or holds what cannot be printed")
+    return name
+
+
+PersonName = Annotated[
+    str, AfterValidator(check_person_name), Field(min_length=1, max_length=MAX_PERSON_NAME_CHARACTERS)
+]
+NewPassword = Annotated[
+    str,
+    AfterValidator(check_text),
+    Field(min_length=MIN_PASSWORD_CHARACTERS, max_length=MAX_PASSWORD_CHARACTERS),
+]
+# One that is only compared: whether it could be somebody's is no question of its form.
+GivenPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
+OneTimeCode = Annotated[str, Field(min_length=20, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")]
+UserCode = Annotated[str, Field(min_length=8, max_length=20, pattern=r"^[A-Za-z -]+$")]
+# A path of this server, to go to after signing in.
+ReturnTo = Annotated[str, Field(max_length=2000, pattern=r"^/($|[^/\\\x00-\x1f\x7f][^\\\x00-\x1f\x7f]*$)")]
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class _Told(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class ProviderRef(_Told):
+    """Somebody who says who people are; `name` is what requests call them."""
+
+    name: str
+    title: str
+
+
+class SignInWays(_Told):
+    """How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one."""
+
+    password: bool
+    providers: list[ProviderRef]
+    claim: bool
+
+
+class PasswordSignIn(_Asked):
+    """Sign in with a local account: `POST /auth/password`."""
+
+    email: Annotated[str, AfterValidator(check_text), Field(max_length=254)]
+    password: GivenPassword = Field(repr=False)
+
+
+class CodeSignIn(_Asked):
+    """Sign in by a link that is good once: `POST /auth/link`."""
+
+    code: OneTimeCode = Field(repr=False)
+
+
+class Claim(_Asked):
+    """Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone."""
+
+    code: OneTimeCode = Field(repr=False)
+    name: PersonName | None = None
+    email: EmailAddress | None = None
+    password: NewPassword | None = Field(default=None, repr=False)
+
+
+class InvitationAccept(_Asked):
+    """Get the account that one is invited to: `POST /auth/invitation`."""
+
+    code: OneTimeCode = Field(repr=False)
+    name: PersonName | None = None
+    password: NewPassword = Field(repr=False)
+
+
+class PasswordReset(_Asked):
+    """Choose a new password by an admin's link: `POST /auth/reset`."""
+
+    code: OneTimeCode = Field(repr=False)
+    password: NewPassword = Field(repr=False)
+
+
+class PasswordChange(_Asked):
+    """Choose a new password: `POST /auth/password/change`. Other browsers are signed out."""
+
+    old_password: GivenPassword = Field(repr=False)
+    new_password: NewPassword = Field(repr=False)
+
+
+class ProviderBegin(_Asked):
+    """Begin to sign in by a provider: `POST /auth/providers/{name}`; `POST /auth/link/{name}` to add it to oneself."""
+
+    return_to: ReturnTo = "/"
+
+
+class ProviderBegun(_Told):
+    """Where the browser goes next."""
+
+    url: str
+
+
+class CodeRead(_Told):
+    """For whom a link is: `POST /auth/codes`. Asking does not use it."""
+
+    purpose: str
+    name: str | None
+    email: str | None
+
+
+class OneTimeLink(_Told):
+    """A link that is good once, until then."""
+
+    url: str = Field(repr=False)
+    expires_at: datetime.datetime
+
+
+class InvitationCreate(_Asked):
+    """Invite somebody to an account: `POST /people/invitations`. That the address is theirs is the word of who does."""
+
+    email: EmailAddress
+    name: PersonName | None = None
+
+
+class LoopbackApproval(_Asked):
+    """Agree that a program on this machine gets a token: `POST /auth/cli/approve`. It listens on 127.0.0.1:`port`."""
+
+    port: Annotated[int, Field(ge=1, le=65535)]
+    state: Annotated[str, Field(min_length=8, max_length=200, pattern=r"^[A-Za-z0-9._~-]+$")]
+    code_challenge: Annotated[str, Field(min_length=43, max_length=43, pattern=r"^[A-Za-z0-9_-]+$")]
+    client: ClientName = "klein"
+
+
+class LoopbackApproved(_Told):
+    """Where the browser brings the code."""
+
+    url: str = Field(repr=False)
+
+
+class DeviceDecision(_Asked):
+    """Agree or disagree that the program that shows this code gets a token: `POST /auth/device/approve` or `/deny`."""
+
+    user_code: UserCode
+
+
+class DeviceRead(_Told):
+    """Who asks by a code: `POST /auth/device/look`."""
+
+    client: str
+    address: str | None
+    created_at: datetime.datetime
+    expires_at: datetime.datetime
+
+
+class IdentityRead(_Told):
+    """Under whose word one signs in: `GET /me/identities`."""
+
+    id: uuid.UUID
+    issuer: str
+    email: str | None
+    created_at: datetime.datetime
+    last_used_at: datetime.datetime
+
+
+class BrowserSignedIn(_Told):
+    """Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read."""
+
+    person: PersonRef

@@ -1,0 +1,167 @@
+"""Whose account a provider's word opens: one person is one account, under as many identities as they linked to it.
+
+An identity that is known opens its account. One that is not is linked to the account of its address only where the
+provider verified that address and the settings trust it for that domain; else the person links it, signed in.
+"""
+
+import uuid
+
+from sqlalchemy import func, insert, select, update
+
+from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
+from kleinkram.contract.emails import check_email, email_domain, email_key
+from kleinkram.contract.errors import SignInRefused
+from kleinkram.contract.metadata import Metadata
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.groups import add_person, prove_address
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.auth.providers import Vouched
+from kleinkram.server.db import Connection
+from kleinkram.server.settings import OidcProvider, OpenTo
+from kleinkram.server.tables import identity, one_time_code, person, person_email
+from kleinkram.server.tables.signing_in import CodePurpose
+
+# Two first sign-ins of one person are one after the other: the second finds the account of the first.
+_MAKING = 0x6B6C4143
+
+
+async def open_account(db: Connection, asker: Actor, *, vouched: Vouched, provider: OidcProvider) -> uuid.UUID:
+    """Return whose account somebody signs in to, made or linked where the settings allow that.
+
+    Raises:
+        SignInRefused: their account has to be linked by themselves, or they get none here.
+    """
+    await db.execute(select(func.pg_advisory_xact_lock(_MAKING)))
+    address = _address(vouched)
+    proven = address if _is_trusted(vouched, address, provider) else None
+    known = await _use_identity(db, vouched)
+    if known is not None:
+        await _prove(db, known, proven, provider)
+        return known
+    owner = await _owner_of(db, address)
+    if owner is None:
+        return await _new_account(db, asker, vouched=vouched, provider=provider, proven=proven)
+    if proven is None:
+        raise SignInRefused(
+            reason=f"there is an account with {address} here, and {provider.title}'s word alone does not open it. "
+            f"Sign in as you did before, then add {provider.title} to your account: "
+            "“Link another way to sign in” on the sign-in page."
+        )
+    await _link(db, asker, person_id=owner, vouched=vouched, provider=provider)
+    return owner
+
+
+async def link_identity(db: Connection, actor: Actor, *, vouched: Vouched, provider: OidcProvider) -> None:
+    """Add an identity to the account of who is signed in.
+
+    Raises:
+        SignInRefused: it opens another account already.
+    """
+    await db.execute(select(func.pg_advisory_xact_lock(_MAKING)))
+    known = await _use_identity(db, vouched)
+    if known is not None and known != actor.person_id:
+        raise SignInRefused(reason=f"this account of {provider.title} opens somebody else's account here.")
+    if known is None and actor.person_id is not None:
+        await _link(db, actor, person_id=actor.person_id, vouched=vouched, provider=provider)
+    address = _address(vouched)
+    if actor.person_id is not None and _is_trusted(vouched, address, provider):
+        await _prove(db, actor.person_id, address, provider)
+
+
+def _address(vouched: Vouched) -> str | None:
+    """Return the address that somebody is told to have, if it is one that is taken."""
+    try:
+        return None if vouched.email is None else check_email(vouched.email)
+    except ValueError:
+        return None
+
+
+def _is_trusted(vouched: Vouched, address: str | None, provider: OidcProvider) -> bool:
+    return address is not None and vouched.email_verified and provider.trusts(email_domain(address))
+
+
+async def _use_identity(db: Connection, vouched: Vouched) -> uuid.UUID | None:
+    same = (identity.c.issuer == vouched.issuer) & (identity.c.subject == vouched.subject)
+    stmt = update(identity).where(same).values(last_used_at=func.now(), email=_address(vouched))
+    person_id: uuid.UUID | None = (await db.execute(stmt.returning(identity.c.person_id))).scalar_one_or_none()
+    return person_id
+
+
+async def _owner_of(db: Connection, address: str | None) -> uuid.UUID | None:
+    if address is None:
+        return None
+    stmt = select(person_email.c.person_id).where(person_email.c.email_key == email_key(address))
+    owner: uuid.UUID | None = (await db.execute(stmt)).scalar_one_or_none()
+    return owner
+
+
+async def _prove(db: Connection, person_id: uuid.UUID, address: str | None, provider: OidcProvider) -> None:
+    """Keep a trusted address; one that somebody else has by now stays theirs."""
+    left = select(person.c.deactivated_at.is_not(None)).where(person.c.id == person_id)
+    if address is not None and not (await db.execute(left)).scalar_one():
+        await prove_address(db, person_id, address, by=provider.issuer)
+
+
+async def _link(
+    db: Connection, actor: Actor, *, person_id: uuid.UUID, vouched: Vouched, provider: OidcProvider
+) -> None:
+    identity_id = uuid.uuid4()
+    await db.execute(
+        insert(identity).values(
+            id=identity_id,
+            person_id=person_id,
+            issuer=vouched.issuer,
+            subject=vouched.subject,
+            email=_address(vouched),
+        )
+    )
+    after: Metadata = {"issuer": vouched.issuer, "email": vouched.email, "person_id": str(person_id)}
+    await record(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
+
+
+async def _new_account(
+    db: Connection, asker: Actor, *, vouched: Vouched, provider: OidcProvider, proven: str | None
+) -> uuid.UUID:
+    is_invited = proven is not None and await _take_invitations(db, proven)
+    if not is_invited:
+        _see_that_it_is_open(vouched, provider, proven)
+    name = _name(vouched)
+    person_id = await add_person(db, name=name)
+    after: Metadata = {"way": provider.issuer, "email": vouched.email, "by_invitation": is_invited}
+    await record(db, asker, Event("person.create", "person", person_id, name, None, after=after))
+    await _link(db, asker, person_id=person_id, vouched=vouched, provider=provider)
+    await _prove(db, person_id, proven, provider)
+    return person_id
+
+
+def _see_that_it_is_open(vouched: Vouched, provider: OidcProvider, proven: str | None) -> None:
+    if provider.open_to is OpenTo.anybody:
+        return
+    if provider.open_to is OpenTo.invited:
+        raise SignInRefused(reason="accounts on this server are by invitation. Ask one of its admins for one.")
+    if proven is None:
+        who = f"{vouched.email or 'your account'} of {provider.title}"
+        raise SignInRefused(
+            reason=f"{who} does not get an account here by itself. Ask one of this server's admins for an invitation."
+        )
+
+
+async def _take_invitations(db: Connection, address: str) -> bool:
+    """Use up the invitations to an address; says whether there was one."""
+    open_still = (
+        one_time_code.c.used_at.is_(None),
+        one_time_code.c.expires_at > func.now(),
+        one_time_code.c.purpose == CodePurpose.invitation.value,
+        func.lower(one_time_code.c.email) == email_key(address),
+    )
+    stmt = update(one_time_code).where(*open_still).values(used_at=func.now()).returning(one_time_code.c.id)
+    return (await db.execute(stmt)).first() is not None
+
+
+def _name(vouched: Vouched) -> str:
+    """Return what somebody is called: by their provider, else before the @ of their address."""
+    for told in (vouched.name, (vouched.email or "").partition("@")[0]):
+        name = "".join(letter for letter in told or "" if letter.isprintable())[:MAX_PERSON_NAME_CHARACTERS].strip()
+        if name:
+            return check_person_name(name)
+    return "somebody without a name"

@@ -1,0 +1,140 @@
+"""Logins of programs over HTTP, and oneself: `klein login`, `klein whoami`, the browsers that one is signed in with."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict
+
+from kleinkram.contract.accounts import (
+    DeviceDecision,
+    DeviceRead,
+    IdentityRead,
+    InvitationCreate,
+    LoopbackApproval,
+    LoopbackApproved,
+    OneTimeLink,
+)
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.signing_in import (
+    CliExchange,
+    DeviceBegin,
+    DeviceCode,
+    DeviceExchange,
+    MeRead,
+    SessionRead,
+    SignedIn,
+)
+from kleinkram.server.auth import local, logins, me, sessions
+from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
+from kleinkram.server.pages import PageRequest
+
+login_router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
+me_router = APIRouter(prefix="/api/v1/me", tags=["me"])
+people_router = APIRouter(prefix="/api/v1/people", tags=["people"])
+
+
+class SessionListQuery(BaseModel):
+    """The query of a list of sessions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+
+
+@login_router.post("/cli/approve", operation_id="approve_cli_login")
+async def approve_cli_login(wanted: LoopbackApproval, db: Transaction, actor: CurrentActor) -> LoopbackApproved:
+    """Agree that a program on the browser's machine gets a token."""
+    return await logins.approve_loopback(db, actor, wanted=wanted)
+
+
+@login_router.post("/cli/token", operation_id="exchange_cli_code")
+async def exchange_cli_code(
+    brought: CliExchange, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> SignedIn:
+    """Exchange what the browser brought to the loopback for a token."""
+    return await logins.exchange_loopback(db, actor, brought=brought, settings=settings)
+
+
+@login_router.post("/device", operation_id="begin_device_login")
+async def begin_device_login(
+    wanted: DeviceBegin, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> DeviceCode:
+    """Begin a login by a code that is typed on another machine."""
+    return await logins.begin_device(db, actor, client=wanted.client, settings=settings)
+
+
+@login_router.post("/device/token", operation_id="exchange_device_code")
+async def exchange_device_code(
+    brought: DeviceExchange, database: CurrentDatabase, actor: CurrentActor, settings: CurrentSettings
+) -> SignedIn:
+    """Exchange a device's secret for a token, once its code was typed."""
+    return await logins.exchange_device(database, actor, device_code=brought.device_code, settings=settings)
+
+
+@login_router.post("/device/look", operation_id="look_at_device_login")
+async def look_at_device_login(shown: DeviceDecision, db: Transaction) -> DeviceRead:
+    """Say who shows a code."""
+    return await logins.look_at_device(db, shown.user_code)
+
+
+@login_router.post("/device/approve", operation_id="approve_device_login")
+async def approve_device_login(shown: DeviceDecision, db: Transaction, actor: CurrentActor) -> DeviceRead:
+    """Agree that the program that shows a code gets a token."""
+    return await logins.approve_device(db, actor, shown.user_code)
+
+
+@login_router.post("/device/deny", operation_id="deny_device_login")
+async def deny_device_login(shown: DeviceDecision, db: Transaction, actor: CurrentActor) -> DeviceRead:
+    """Disagree."""
+    return await logins.deny_device(db, actor, shown.user_code)
+
+
+@me_router.get("", operation_id="get_me")
+async def get_me(db: Transaction, actor: CurrentActor) -> MeRead:
+    """Say who asks, and what their credential is good for."""
+    return await me.get_me(db, actor)
+
+
+@me_router.get("/sessions", operation_id="list_sessions")
+async def list_sessions(
+    query: Annotated[SessionListQuery, Query()], db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> Page[SessionRead]:
+    """List the browsers that one is signed in with, latest first."""
+    page = PageRequest(query.limit, query.cursor)
+    return await sessions.list_sessions(db, actor, settings=settings, page=page)
+
+
+@me_router.delete("/sessions", operation_id="end_all_sessions", status_code=204)
+async def end_all_sessions(db: Transaction, actor: CurrentActor) -> None:
+    """Sign all of one's browsers out, this one too. Tokens stay as they are."""
+    await sessions.end_sessions(db, actor)
+
+
+@me_router.delete("/sessions/{session_id}", operation_id="end_session", status_code=204)
+async def end_session(session_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
+    """Sign one of one's browsers out."""
+    await sessions.end_session(db, actor, session_id=session_id)
+
+
+@me_router.get("/identities", operation_id="list_identities")
+async def list_identities(db: Transaction, actor: CurrentActor) -> list[IdentityRead]:
+    """List under whose word one signs in."""
+    return await me.list_identities(db, actor)
+
+
+@people_router.post("/invitations", operation_id="invite_person", status_code=201)
+async def invite_person(
+    wanted: InvitationCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> OneTimeLink:
+    """Make a link by which somebody gets an account; whoever asks gives it to them."""
+    return await local.make_invitation(db, actor, wanted=wanted, settings=settings)
+
+
+@people_router.post("/{person_id}/reset", operation_id="create_reset_link", status_code=201)
+async def create_reset_link(
+    person_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> OneTimeLink:
+    """Make a link by which somebody chooses a new password; whoever asks gives it to them."""
+    return await local.make_reset(db, actor, person_id=person_id, settings=settings)

@@ -1,0 +1,74 @@
+"""Who the server takes the caller for, and by what credential."""
+
+from sqlalchemy import select
+
+from kleinkram.contract.accounts import IdentityRead
+from kleinkram.contract.errors import NotAuthenticated
+from kleinkram.contract.rights import GroupKind
+from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
+from kleinkram.server.access.actor import Actor, unexpired
+from kleinkram.server.db import Connection
+from kleinkram.server.tables import access_group, identity, membership, person_email, session
+from kleinkram.server.tokens.service import get_token
+
+
+async def get_me(db: Connection, actor: Actor) -> MeRead:
+    """Return who asks, and what their credential is good for.
+
+    Raises:
+        NotAuthenticated: nobody with an account.
+    """
+    if actor.ref is None:
+        raise NotAuthenticated(reason="this takes an account")
+    emails = select(person_email.c.email).where(
+        person_email.c.person_id == actor.person_id, person_email.c.verified_at.is_not(None)
+    )
+    groups = (
+        select(access_group.c.name)
+        .join_from(membership, access_group)
+        .where(
+            membership.c.person_id == actor.person_id,
+            unexpired(membership.c.expires_at),
+            access_group.c.kind.not_in([GroupKind.person.value, GroupKind.email.value]),
+        )
+    )
+    return MeRead(
+        person=actor.ref,
+        emails=sorted((await db.execute(emails)).scalars()),
+        groups=sorted((await db.execute(groups)).scalars()),
+        is_admin=actor.is_admin,
+        credential=await _credential(db, actor),
+    )
+
+
+async def list_identities(db: Connection, actor: Actor) -> list[IdentityRead]:
+    """Return under whose word somebody signs in, in the order in which they were added."""
+    own = select(identity).where(identity.c.person_id == actor.person_id).order_by(identity.c.created_at)
+    return [
+        IdentityRead(
+            id=row.id, issuer=row.issuer, email=row.email, created_at=row.created_at, last_used_at=row.last_used_at
+        )
+        for row in await db.execute(own)
+    ]
+
+
+async def _credential(db: Connection, actor: Actor) -> CredentialRead:
+    if actor.token_id is not None:
+        held = await get_token(db, actor, actor.token_id)
+        return CredentialRead(
+            id=held.id,
+            kind=CredentialKind(held.kind.value),
+            name=held.name,
+            scopes=held.scopes,
+            is_limited=held.limits is not None,
+            expires_at=held.expires_at,
+        )
+    row = (await db.execute(select(session).where(session.c.id == actor.session_id))).one()
+    return CredentialRead(
+        id=row.id,
+        kind=CredentialKind.session,
+        name=row.way,
+        scopes=sorted(actor.scopes),
+        is_limited=False,
+        expires_at=row.expires_at,
+    )

@@ -1,0 +1,43 @@
+"""Accounts for tests of signing in: invited and accepted as people do it."""
+
+import uuid
+from dataclasses import dataclass
+
+from tests.integration.auth.browser import Browser
+from tests.integration.running import Api
+
+PASSWORD = "correct horse battery"
+
+
+@dataclass(frozen=True)
+class Account:
+    """Somebody with a local account, and the browser in which they made it."""
+
+    id: str
+    name: str
+    email: str
+    browser: Browser
+
+
+def code_of(link: str) -> str:
+    """Return the code that a link carries behind its #."""
+    return link.partition("#")[2]
+
+
+def any_email() -> str:
+    """Return an address that nobody has yet."""
+    return f"{uuid.uuid4().hex[:12]}@lab.example"
+
+
+def account(api: Api, *, name: str = "Ada", email: str | None = None) -> Account:
+    """Make a local account by an admin's invitation."""
+    email = email or any_email()
+    link = api.post("/people/invitations", {"email": email}).ok(201)["url"]
+    browser = Browser(api)
+    made = browser.post("/auth/invitation", {"code": code_of(link), "name": name, "password": PASSWORD}).ok()
+    return Account(made["person"]["id"], name, email, browser)
+
+
+def sign_in(browser: Browser, email: str, password: str = PASSWORD) -> None:
+    """Sign in with a password."""
+    browser.post("/auth/password", {"email": email, "password": password}).ok()

@@ -1,0 +1,12 @@
+"""An API of its own for tests of signing in: they have themselves refused more often than a minute's record holds."""
+
+import pytest
+
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+
+
+@pytest.fixture(scope="package")
+def api(start_api: StartApi) -> Api:
+    """The package's API; without limits on how often somebody may try."""
+    return start_api()

@@ -1,0 +1,152 @@
+"""Local accounts: invited, signed in to, changed, reset; and nothing that tells a guest who has one."""
+
+import pytest
+
+from tests.integration import people
+from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
+from tests.integration.auth.browser import USER_AGENT, Browser
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+
+OTHER_PASSWORD = "a wholly different one"
+
+
+def test_an_invitation_makes_an_account_and_a_password_opens_it_again(api: Api) -> None:
+    made = account(api, name="Ada Lovelace")
+    assert made.browser.me()["emails"] == [made.email]
+    again = Browser(api)
+    sign_in(again, made.email.upper())
+    me = again.me()
+    assert (me["person"], me["is_admin"]) == ({"id": made.id, "name": "Ada Lovelace"}, False)
+    assert (me["credential"]["kind"], me["credential"]["name"]) == ("session", "password")
+    operations = {event["operation"] for event in api.all("/audit", {"person_id": made.id})}
+    assert {"session.create"} <= operations
+
+
+def test_an_invitation_is_good_once_and_a_newer_one_takes_its_place(api: Api) -> None:
+    email = any_email()
+    older, newer = (code_of(api.post("/people/invitations", {"email": email}).ok(201)["url"]) for _ in range(2))
+    accepted = {"name": "Ada", "password": PASSWORD}
+    Browser(api).post("/auth/invitation", {"code": older, **accepted}).refused(410, "code_gone")
+    assert Browser(api).post("/auth/codes", {"code": newer}).ok()["email"] == email
+    Browser(api).post("/auth/invitation", {"code": newer, **accepted}).ok()
+    Browser(api).post("/auth/invitation", {"code": newer, **accepted}).refused(410, "code_gone")
+    api.post("/people/invitations", {"email": email}).refused(409, "name_taken")
+
+
+def test_an_expired_invitation_is_not_good(api: Api) -> None:
+    email = any_email()
+    code = code_of(api.post("/people/invitations", {"email": email}).ok(201)["url"])
+    api.sql("UPDATE one_time_code SET expires_at = now() WHERE email = %s", email)
+    accepted = {"code": code, "name": "Ada", "password": PASSWORD}
+    Browser(api).post("/auth/invitation", accepted).refused(410, "code_gone")
+
+
+def test_only_admins_invite_and_reset(api: Api) -> None:
+    made = account(api)
+    made.browser.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
+    made.browser.post(f"/people/{made.id}/reset").refused(403, "forbidden")
+
+
+def test_an_invited_person_is_in_the_group_of_their_address_and_sees_what_it_was_granted(api: Api) -> None:
+    email, project = any_email(), api.project()
+    people.grant(api, people.email_group(api, email), people.Right.read, project_id=project["id"])
+    made = account(api, email=email)
+    assert made.browser.get(f"/api/v1/projects/{project['id']}").ok()["name"] == project["name"]
+
+
+@pytest.mark.parametrize("wrong", ["not the password", "", PASSWORD + " "])
+def test_a_wrong_password_is_refused_as_is_an_address_that_nobody_has(api: Api, wrong: str) -> None:
+    made = account(api)
+    answers = [
+        Browser(api).post("/auth/password", {"email": email, "password": wrong})
+        for email in (made.email, any_email(), "not an address", "")
+    ]
+    bodies = [{**answer.refused(401, "sign_in_failed"), "request_id": ""} for answer in answers]
+    assert all(body == bodies[0] for body in bodies)
+    assert all("set-cookie" not in answer.headers for answer in answers)
+
+
+def test_failed_sign_ins_are_recorded_without_what_was_typed(start_api: StartApi) -> None:
+    api = start_api()
+    Browser(api).post("/auth/password", {"email": "ada@lab.example", "password": "hunter2-hunter2"})
+    (event,) = (each for each in api.all("/audit") if each["operation"] == "auth.refused")
+    assert event["noun_name"] == "POST /api/v1/auth/password"
+    assert "hunter2" not in str(event)
+
+
+def test_changing_a_password_takes_the_old_one_and_signs_other_browsers_out(api: Api) -> None:
+    made, other = account(api), Browser(api)
+    sign_in(other, made.email)
+    wanted = {"old_password": "wrong", "new_password": OTHER_PASSWORD}
+    made.browser.post("/auth/password/change", wanted).refused(401, "sign_in_failed")
+    assert other.is_signed_in()
+    made.browser.post("/auth/password/change", {**wanted, "old_password": PASSWORD}).ok(204)
+    assert (made.browser.is_signed_in(), other.is_signed_in()) == (True, False)
+    Browser(api).post("/auth/password", {"email": made.email, "password": PASSWORD}).refused(401, "sign_in_failed")
+    sign_in(Browser(api), made.email, OTHER_PASSWORD)
+
+
+@pytest.mark.parametrize("obvious", ["ada.lovelace", "Ada Lovelace", "ADA.LOVELACE@lab.example"])
+def test_a_password_is_not_one_s_name_or_address(start_api: StartApi, obvious: str) -> None:
+    api = start_api()
+    code = code_of(api.post("/people/invitations", {"email": "ada.lovelace@lab.example"}).ok(201)["url"])
+    accepted = {"code": code, "name": "Ada Lovelace", "password": obvious}
+    problem = Browser(api).post("/auth/invitation", accepted).refused(422, "invalid_request")
+    assert problem["problems"][0]["field"] == "password"
+    Browser(api).post("/auth/invitation", {**accepted, "password": PASSWORD}).ok()
+
+
+def test_a_short_password_is_refused(api: Api) -> None:
+    code = code_of(api.post("/people/invitations", {"email": any_email()}).ok(201)["url"])
+    Browser(api).post("/auth/invitation", {"code": code, "password": "nine char"}).refused(422, "invalid_request")
+
+
+def test_a_reset_link_chooses_a_new_password_and_signs_all_browsers_out(api: Api) -> None:
+    made, other = account(api), Browser(api)
+    link = api.post(f"/people/{made.id}/reset").ok(201)["url"]
+    assert link.startswith(f"{made.browser.public_url}/sign-in/reset#")
+    assert other.post("/auth/codes", {"code": code_of(link)}).ok()["name"] == made.name
+    reset = {"code": code_of(link), "password": OTHER_PASSWORD}
+    other.post("/auth/reset", reset).ok()
+    assert (made.browser.is_signed_in(), other.is_signed_in()) == (False, True)
+    other.post("/auth/reset", reset).refused(410, "code_gone")
+    sign_in(Browser(api), made.email, OTHER_PASSWORD)
+    assert {"password.reset_link", "password.reset"} <= {event["operation"] for event in api.events(made.id)}
+
+
+def test_who_left_is_refused_like_a_stranger_and_their_session_has_ended(api: Api) -> None:
+    made = account(api)
+    reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
+    api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", made.id)
+    assert not made.browser.is_signed_in()
+    Browser(api).post("/auth/password", {"email": made.email, "password": PASSWORD}).refused(401, "sign_in_failed")
+    Browser(api).post("/auth/reset", {"code": reset, "password": PASSWORD}).refused(403, "sign_in_refused")
+    api.post(f"/people/{made.id}/reset").refused(404, "not_found")
+
+
+def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
+    from argon2 import PasswordHasher
+
+    made = account(api)
+    older = PasswordHasher(time_cost=1, memory_cost=8192, parallelism=1).hash(PASSWORD)
+    api.sql("UPDATE password SET hash = %s WHERE person_id = %s", older, made.id)
+    sign_in(Browser(api), made.email)
+    ((kept,),) = api.sql("SELECT hash FROM password WHERE person_id = %s", made.id)
+    assert kept != older
+    sign_in(Browser(api), made.email)
+
+
+def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: StartApi) -> None:
+    api = start_api(local_accounts=False)
+    ways = Browser(api).get("/api/v1/auth/ways").ok()
+    assert ways == {"password": False, "providers": [], "claim": False}
+    Browser(api).post("/auth/password", {"email": "a@b.example", "password": "x"}).refused(404, "not_found")
+    assert 'name="password"' not in Browser(api).get("/sign-in").ok()
+    api.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
+
+
+def test_a_session_says_from_where_it_is(api: Api) -> None:
+    made = account(api)
+    (own,) = made.browser.get("/api/v1/me/sessions").ok()["items"]
+    assert (own["way"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)
