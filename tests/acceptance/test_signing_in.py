@@ -1,0 +1,211 @@
+"""Signing in from a terminal to a real `klein up`: by the browser, by a code, by a token; and out again."""
+
+import json
+import subprocess
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+import urllib3
+
+from .conftest import Instance, Terminal, end
+
+
+@dataclass(frozen=True)
+class Browser:
+    """A person's browser, as far as pages use it: a cookie, and requests that say which page they come from."""
+
+    url: str
+    cookie: str
+    pool: urllib3.PoolManager
+
+    def post(self, path: str, body: dict[str, Any]) -> Any:
+        """Ask for something as a page of the server would."""
+        headers = {"Cookie": self.cookie, "Origin": self.url, "Content-Type": "application/json"}
+        answer = self.pool.request("POST", f"{self.url}/api/v1{path}", body=json.dumps(body), headers=headers)
+        assert answer.status < 300, (answer.status, answer.data)
+        return json.loads(answer.data or b"null")
+
+    def agree_to_login(self, url: str) -> int:
+        """Open the page that `klein login` wants opened, agree on it, and go where it sends the browser."""
+        assert url.startswith(f"{self.url}/sign-in/cli?")
+        said = {name: value for name, (value,) in parse_qs(urlsplit(url).query).items()}
+        answer = self.post("/auth/cli/approve", {**said, "port": int(said["port"])})
+        return self.pool.request("GET", answer["url"]).status
+
+
+@pytest.fixture
+def browser(instance: Instance) -> Iterator[Browser]:
+    """The browser of the owner of `klein up`, signed in by a one-time link."""
+    url = str(instance.told()["url"]).rstrip("/")
+    token = (instance.data_dir / instance.told()["token_file"]).read_text().strip()
+    with urllib3.PoolManager(retries=False, timeout=20) as pool:
+        asked = pool.request("POST", f"{url}/api/v1/auth/owner-link", headers={"Authorization": f"Bearer {token}"})
+        link = json.loads(asked.data)["url"]
+        code = urlsplit(link).fragment.rpartition("=")[2]
+        headers = {"Origin": url, "Content-Type": "application/json"}
+        answer = pool.request("POST", f"{url}/api/v1/auth/link", body=json.dumps({"code": code}), headers=headers)
+        assert answer.status == 200, answer.data
+        yield Browser(url, answer.headers["Set-Cookie"].partition(";")[0], pool)
+
+
+@pytest.fixture
+def away(terminal: Terminal, tmp_path: Path) -> Terminal:
+    """A terminal on another machine: it knows of no server."""
+    environment = {**terminal.environment, "KLEINKRAM_DATA_DIR": str(tmp_path / "none"), "BROWSER": "true"}
+    return replace(terminal, environment=environment)
+
+
+def line_with(process: "subprocess.Popen[str]", words: str) -> str:
+    """Return the first line on stderr that has these words."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if words in line:
+            return line.strip()
+    pytest.fail(f"klein did not say {words!r}")
+
+
+def saved(terminal: Terminal) -> Any:
+    return json.loads(endpoints_file(terminal).read_text())
+
+
+def endpoints_file(terminal: Terminal) -> Path:
+    return Path(terminal.environment["XDG_CONFIG_HOME"]) / "kleinkram" / "endpoints.json"
+
+
+def log_in(terminal: Terminal, browser: Browser, *options: str) -> Any:
+    """Sign in by the browser and return what klein says of it."""
+    process = terminal.start("login", browser.url, "--json", *options)
+    assert browser.agree_to_login(line_with(process, "/sign-in/cli?").split()[-1]) == 200
+    ran = end(process)
+    assert ran.code == 0, ran
+    return ran.json()
+
+
+def test_in_by_the_browser_and_out_again(away: Terminal, browser: Browser) -> None:
+    told = log_in(away, browser, "--name", "lab")
+    assert (told["name"], told["url"], told["person"]) == ("lab", browser.url, "owner")
+    assert told["expires_at"] is not None
+    assert endpoints_file(away).stat().st_mode & 0o777 == 0o600
+
+    me = away.run("whoami", "--json").json()
+    assert (me["person"]["name"], me["credential"]["kind"], me["endpoint"]) == ("owner", "personal", "lab")
+    assert me["credential"]["name"].startswith("klein on ")
+    assert "owner" in away.run("whoami").out
+    (listed,) = away.run("endpoint", "list", "--json").json()["items"]
+    assert (listed["name"], listed["person"], listed["in_use"], listed["expired"]) == ("lab", "owner", True, False)
+    away.run("project", "list")
+
+    token = saved(away)["endpoints"]["lab"]["token"]
+    assert token not in away.run("endpoint", "list").out
+    assert "revoked" in away.run("logout").err
+    assert saved(away) == {"version": 1, "current": None, "endpoints": {}}
+    late = replace(away, environment={**away.environment, "KLEINKRAM_URL": browser.url, "KLEINKRAM_TOKEN": token})
+    refused = late.run("whoami", code=4).err
+    assert f"klein login {browser.url}" in refused
+    assert "KLEINKRAM_TOKEN" in refused
+
+
+def test_signing_in_again_ends_the_token_before(away: Terminal, browser: Browser) -> None:
+    log_in(away, browser)
+    before = saved(away)["endpoints"]
+    log_in(away, browser)
+    after = saved(away)["endpoints"]
+    assert set(before) == set(after) == {urlsplit(browser.url).netloc}
+    (old,), (new,) = before.values(), after.values()
+    assert old["token"] != new["token"]
+    late = {**away.environment, "KLEINKRAM_URL": browser.url, "KLEINKRAM_TOKEN": old["token"]}
+    replace(away, environment=late).run("whoami", code=4)
+    away.run("whoami")
+
+
+def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Terminal, browser: Browser) -> None:
+    environment = {**away.environment, "XDG_CONFIG_HOME": str(away.home / "refused")}
+    other = replace(away, environment=environment)
+    logins = [terminal.start("login", browser.url, "--device") for terminal in (away, other)]
+    for process, decision in zip(logins, ("approve", "deny"), strict=True):
+        browser.post(f"/auth/device/{decision}", {"user_code": line_with(process, "and type").split()[-1]})
+    agreed, refused = (end(process) for process in logins)
+    assert (agreed.code, refused.code) == (0, 4), (agreed, refused)
+    assert "Signed in" in agreed.err
+    assert away.run("whoami", "--json").json()["person"]["name"] == "owner"
+    assert "refused" in refused.err
+    assert not endpoints_file(other).exists()
+
+
+def test_in_by_a_token(away: Terminal, browser: Browser) -> None:
+    log_in(away, browser, "--name", "lab")
+    token = saved(away)["endpoints"]["lab"]["token"]
+    away.run("endpoint", "remove", "lab")
+
+    wrong = away.run("login", browser.url, "--token", stdin="kk_wrong\n", code=4)
+    assert "kk_wrong" not in wrong.err
+    assert not saved(away)["endpoints"]
+    assert "KLEINKRAM_TOKEN" in away.run("login", browser.url, "--token", code=2).err
+    piped = away.run("login", browser.url, "--token", "--name", "piped", stdin=f"{token}\n")
+    assert token not in piped.err + piped.out
+    environment = {**away.environment, "KLEINKRAM_TOKEN": token}
+    replace(away, environment=environment).run("login", browser.url, "--token", "--name", "named")
+    assert {name: it["token"] for name, it in saved(away)["endpoints"].items()} == {"piped": token, "named": token}
+    assert saved(away)["current"] == "named"
+
+    ended = away.run("logout", "--all", "--json").json()["items"]
+    assert [(item["name"], item["revoked"]) for item in ended] == [("piped", True), ("named", False)]
+    assert saved(away)["endpoints"] == {}
+
+
+def test_without_a_browser_it_says_how_else(away: Terminal, browser: Browser) -> None:
+    hidden = {"BROWSER", "DISPLAY", "WAYLAND_DISPLAY"}
+    bare = {name: value for name, value in away.environment.items() if name not in hidden}
+    refused = replace(away, environment=bare).run("login", browser.url, code=2).err
+    assert f"klein login {browser.url} --device" in refused
+
+
+def test_a_file_that_others_can_read_is_refused(away: Terminal, browser: Browser) -> None:
+    log_in(away, browser)
+    endpoints_file(away).chmod(0o644)
+    assert "chmod 600" in away.run("whoami", code=4).err
+    endpoints_file(away).chmod(0o600)
+    away.run("whoami")
+
+
+def test_where_the_server_is_away_the_token_is_forgotten_and_it_is_said(away: Terminal) -> None:
+    away.run("endpoint", "add", "gone", "http://127.0.0.1:9", stdin="kk_secret\n")
+    leaving, coming = away.start("logout"), away.start("login", "http://127.0.0.1:9")
+    left, came = end(leaving), end(coming)
+    assert (left.code, came.code) == (7, 7), (left, came)
+    assert "could not be revoked" in left.err
+    assert "kk_secret" not in left.err
+    assert saved(away)["endpoints"] == {}
+    assert "http://127.0.0.1:9" in came.err
+    assert "klein login" in away.run("whoami", code=2).err
+
+
+def test_names_stay_with_their_server(away: Terminal, browser: Browser) -> None:
+    away.run("endpoint", "add", "lab", "http://127.0.0.1:9", stdin="kk_secret\n")
+    assert "http://127.0.0.1:9" in away.run("login", browser.url, "--name", "lab", code=5).err
+
+
+def test_browsers_are_listed_and_signed_out(away: Terminal, browser: Browser) -> None:
+    log_in(away, browser)
+    sessions = away.run("session", "list", "--json").json()["items"]
+    assert sessions
+    assert {session["is_current"] for session in sessions} == {False}
+    away.run("session", "revoke", uuid.uuid4(), code=3)
+    away.run("session", "revoke", code=2)
+    away.run("session", "revoke", sessions[0]["id"])
+    left = {session["id"] for session in away.run("session", "list", "--json").json()["items"]}
+    assert sessions[0]["id"] not in left
+    away.run("session", "revoke", "--all", "--yes")
+    assert away.run("session", "list", "--json").json()["items"] == []
+    away.run("whoami")  # tokens stay
+
+
+def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal) -> None:
+    me = terminal.run("whoami", "--json").json()
+    assert (me["person"]["name"], me["is_admin"], me["endpoint"]) == ("owner", True, "local")
+    assert "klein down" in terminal.run("logout", code=2).err
