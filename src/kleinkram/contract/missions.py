@@ -12,6 +12,7 @@ from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, Metadata
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.rights import Right
 
 Notes = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
 MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
@@ -55,7 +56,7 @@ class MissionRead(BaseModel):
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
-    recordings and span follow from today's files.
+    recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -77,6 +78,7 @@ class MissionRead(BaseModel):
     message_count: int
     pending_file_count: int
     recordings_current: bool
+    right: Right
 
 
 class MissionTemplate(BaseModel):

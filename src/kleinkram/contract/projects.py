@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.rights import Right
 
 Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
@@ -45,7 +46,7 @@ class ProjectUpdate(BaseModel):
 
 
 class ProjectRead(BaseModel):
-    """A project and what it amounts to. Counts leave out what is in the trash."""
+    """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -60,6 +61,7 @@ class ProjectRead(BaseModel):
     size_bytes: int
     duration_ns: int
     unsatisfied_mission_count: int
+    right: Right
 
 
 class ProjectSort(str, enum.Enum):

@@ -12,6 +12,7 @@ import kleinkram
 from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.owner import ensure_owner
+from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.claiming import offer_claim
 from kleinkram.server.auth.login_routes import login_router, me_router, people_router
@@ -21,11 +22,15 @@ from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
 from kleinkram.server.files.routes import router as files
+from kleinkram.server.grants.routes import router as grants
+from kleinkram.server.groups.affiliations import ensure_affiliations
+from kleinkram.server.groups.routes import router as groups
 from kleinkram.server.health.routes import probes
 from kleinkram.server.health.routes import router as service
 from kleinkram.server.http import Envelope, install_handlers
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
+from kleinkram.server.people.routes import router as people
 from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
@@ -51,6 +56,7 @@ def create_app(settings: Settings) -> FastAPI:
             owner_token = await _read_owner_token(settings)
             async with database.begin() as db:
                 await record_probe(db, settings.store_id, abilities)
+                await ensure_affiliations(db, settings.affiliations)
                 if owner_token:
                     await ensure_owner(db, owner_token)
                 else:
@@ -76,6 +82,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.queue = queue
+    app.state.looks = Looks()
     app.add_middleware(Envelope, settings=settings)
     install_handlers(app)
     for router in (
@@ -89,6 +96,9 @@ def create_app(settings: Settings) -> FastAPI:
         search,
         trash,
         tokens,
+        grants,
+        groups,
+        people,
         shares,
         audit,
     ):

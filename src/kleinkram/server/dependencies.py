@@ -9,6 +9,8 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, find_actor, find_signed_in
 from kleinkram.server.access.rights import admit, is_door
+from kleinkram.server.audit.looking import Looks
+from kleinkram.server.audit.places import named
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.rates import limit_expensive
 from kleinkram.server.settings import Settings
@@ -47,14 +49,16 @@ async def _actor(
     database: CurrentDatabase,
     credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
 ) -> Actor:
-    who = await _who(request, database, credentials)
-    who = await _who(request, database, credentials, is_door=is_door(operation))
     operation: str = request.scope["route"].operation_id
+    who = await _who(request, database, credentials, is_door=is_door(operation))
     address = request.client.host if request.client else None
     actor = who.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
     await limit_expensive(database, request.app.state.settings, actor, has_text="text" in request.query_params)
+    if actor.is_admin and request.method == "GET":
+        looks: Looks = request.app.state.looks
+        await looks.note(database, actor, named(request.path_params, request.query_params))
     return actor
 
 

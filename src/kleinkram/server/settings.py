@@ -1,13 +1,17 @@
 """Settings, read once from the environment when a process starts. Every one is described in the settings reference."""
 
+import enum
 import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
-from pydantic import BeforeValidator, Field, PostgresDsn, SecretStr
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PostgresDsn, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from kleinkram.contract.emails import EmailDomain
+from kleinkram.contract.names import Name, name_key
+from kleinkram.contract.rights import Right
 from kleinkram.server.proxies import Network
 
 Seconds = Annotated[float, Field(gt=0)]
@@ -59,6 +63,20 @@ class OidcProvider(BaseModel):
         return "*" in self.trusted_domains or domain in self.trusted_domains
 
 
+# Who may make projects and groups: people of an affiliation group (everybody, where none is configured), or others.
+Creators = Literal["affiliated", "everybody", "admins"]
+
+
+class Affiliation(BaseModel):
+    """A group of whoever has a verified address of exactly one of some domains, and what it gets on new projects."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+    domains: Annotated[tuple[EmailDomain, ...], Field(min_length=1, max_length=100)]
+    default_right: Right | None = None
+
+
 class Settings(BaseSettings):
     """What one server process needs to know. Names in the environment: `KLEINKRAM_` and the name in capitals."""
 
@@ -99,14 +117,6 @@ class Settings(BaseSettings):
     owner_token_file: Annotated[
         Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
     ] = None
-    trusted_proxies: Annotated[
-        tuple[Network, ...],
-        NoDecode,
-        BeforeValidator(_networks),
-        Field(
-            description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
-        ),
-    ] = ()
     oidc_providers: Annotated[
         tuple[OidcProvider, ...],
         Field(description="Who says who people are: a JSON list of OpenID Connect providers (see the sign-in page)."),
@@ -125,7 +135,30 @@ class Settings(BaseSettings):
     invitation_s: Annotated[Seconds, Field(description="How long an invitation is good.")] = 7 * 86_400
     reset_link_s: Annotated[Seconds, Field(description="How long a link to a new password is good.")] = 86_400
 
+    trusted_proxies: Annotated[
+        tuple[Network, ...],
+        NoDecode,
+        BeforeValidator(_networks),
+        Field(
+            description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
+        ),
+    ] = ()
     log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
+
+    affiliations: Annotated[
+        tuple[Affiliation, ...],
+        Field(
+            description="Groups filled by the exact domains of verified addresses: a JSON list of "
+            '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is given on new projects.'
+        ),
+    ] = ()
+    creators: Annotated[
+        Creators,
+        Field(
+            description="Who may make projects and groups: `affiliated` people (everybody, where there are no "
+            "affiliations), `everybody` or `admins`."
+        ),
+    ] = "affiliated"
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
     sign_ins_per_minute: Annotated[
@@ -146,7 +179,7 @@ class Settings(BaseSettings):
     ] = 60
     upload_expires_s: Annotated[Seconds, Field(description="How long an unfinished upload is kept.")] = 7 * 86_400
     part_url_s: Annotated[Seconds, Field(description="How long the address of a part to send is good for.")] = 900
-    download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 3600
+    download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 900
     share_days_max: Annotated[int, Field(ge=1, le=3650, description="How long a link may be good at most.")] = 90
     trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
     sweep_grace_s: Annotated[
@@ -167,6 +200,13 @@ class Settings(BaseSettings):
             if len({getattr(provider, each) for provider in providers}) < len(providers):
                 raise ValueError(f"two providers have the same {each}")
         return providers
+
+    @field_validator("affiliations")
+    @classmethod
+    def _have_one_name_each(cls, affiliations: tuple[Affiliation, ...]) -> tuple[Affiliation, ...]:
+        if len({name_key(each.name) for each in affiliations}) < len(affiliations):
+            raise ValueError("two affiliations have the same name")
+        return affiliations
 
     @property
     def public_origin(self) -> str:

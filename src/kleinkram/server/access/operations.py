@@ -87,6 +87,33 @@ OPERATIONS: dict[str, Need] = {
     "sign_parts": Need(On.mission, Right.create, _UPLOAD),
     "complete_uploads": Need(On.mission, Right.create, _UPLOAD),
     "abort_upload": Need(On.mission, Right.create, _UPLOAD),
+    # Rights. Who may change them on a place sees all of them there; anybody else sees what is their own.
+    "list_project_grants": Need(On.project, Right.write, _READ),
+    "list_mission_grants": Need(On.mission, Right.write, _READ),
+    "create_project_grant": Need(On.project, Right.write, _ADMIN),
+    "create_mission_grant": Need(On.mission, Right.write, _ADMIN),
+    "update_project_grant": Need(On.project, Right.write, _ADMIN),
+    "update_mission_grant": Need(On.mission, Right.write, _ADMIN),
+    "delete_project_grant": Need(On.project, Right.write, _ADMIN),
+    "delete_mission_grant": Need(On.mission, Right.write, _ADMIN),
+    "get_project_access": Need(On.project, Right.read, _READ),
+    "get_mission_access": Need(On.mission, Right.read, _READ),
+    # Groups: seen by whoever is in them, changed by their editors
+    "list_groups": Need(On.nothing, None, _READ),
+    "create_group": Need(On.nothing, None, _ADMIN),
+    "get_group": Need(On.nothing, None, _READ),
+    "update_group": Need(On.nothing, None, _ADMIN),
+    "delete_group": Need(On.nothing, None, _ADMIN),
+    "list_group_members": Need(On.nothing, None, _READ),
+    "set_group_member": Need(On.nothing, None, _ADMIN),
+    "remove_group_member": Need(On.nothing, None, _ADMIN),
+    # People: seen by whoever shares a group or a project with them
+    "list_people": Need(On.nothing, None, _READ),
+    "get_person": Need(On.nothing, None, _READ),
+    "make_admin": Need(On.server, None, _ADMIN),
+    "unmake_admin": Need(On.server, None, _ADMIN),
+    "deactivate_person": Need(On.server, None, _ADMIN),
+    "reactivate_person": Need(On.server, None, _ADMIN),
     # Trash
     "list_trash": Need(On.anything, Right.delete, _READ),
     "restore_from_trash": Need(On.mission, Right.delete, _WRITE),
@@ -99,11 +126,6 @@ OPERATIONS: dict[str, Need] = {
     "list_shares": Need(On.anything, Right.write, _READ),
     "revoke_share": Need(On.mission, Right.write, _WRITE),
     "get_share": Need(On.nothing, None, _READ, guests=True),
-    # The record and the service
-    "list_audit_events": Need(On.project, Right.delete, _READ),
-    "export_audit_events": Need(On.project, Right.delete, _READ),
-    "get_service": Need(On.nothing, None, _ANY, runners=True),
-}
     # Signing in: whoever has a password or a code needs no account yet
     "list_sign_in_ways": _door(),
     "sign_in_by_password": _door(),
@@ -134,3 +156,8 @@ OPERATIONS: dict[str, Need] = {
     # Accounts
     "invite_person": Need(On.server, None, _ADMIN),
     "create_reset_link": Need(On.server, None, _ADMIN),
+    # The record and the service
+    "list_audit_events": Need(On.project, Right.delete, _READ),
+    "export_audit_events": Need(On.project, Right.delete, _READ),
+    "get_service": Need(On.nothing, None, _ANY, runners=True),
+}

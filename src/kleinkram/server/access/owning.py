@@ -5,10 +5,10 @@ granted to an address do not count: whether anybody has that address is not for 
 """
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, exists, select
+from sqlalchemy import Row, Select, exists, select
 
 from kleinkram.contract.errors import LastAdmin, LastOwner
 from kleinkram.contract.rights import GroupKind, Right
@@ -18,8 +18,8 @@ from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_grant, access_group, membership, person, project
 
 
-def owned_by_groups(group_ids: ColumnElement[Any]) -> Select[Any]:
-    """Return the ids of the projects that some groups own without an end; `group_ids` is what `IN` takes."""
+def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the ids of the projects that some groups own without an end."""
     lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
     return select(access_grant.c.project_id).where(
         lasting, access_grant.c.project_id.is_not(None), access_grant.c.group_id.in_(group_ids)

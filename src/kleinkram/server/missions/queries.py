@@ -25,8 +25,10 @@ from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
+    level_on_mission,
     sees_whole_missions,
     shown_files,
     shown_span,
@@ -63,6 +65,7 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         project.c.name.label("project_name"),
         person.c.name.label("created_by_name"),
         literal(sees_whole_missions(actor)).label("is_whole"),
+        level_on_mission(actor).label("level"),
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
         _amounts(actor),
@@ -91,6 +94,7 @@ def to_mission(row: Row[Any]) -> MissionRead:
         message_count=message_count,
         pending_file_count=pending,
         recordings_current=row.derived_revision == row.files_revision,
+        right=Right.of_level(row.level),
     )
 
 

@@ -9,8 +9,15 @@ from sqlalchemy.dialects.postgresql import array
 from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRead, ProjectSort
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_recordings, visible_projects
+from kleinkram.server.access.visible import (
+    level_on_project,
+    sees_whole_missions,
+    shown_files,
+    shown_recordings,
+    visible_projects,
+)
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_projects
 from kleinkram.server.tables import blob, file, mission, person, project, recording
@@ -48,7 +55,9 @@ def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_project` reads, of a select that began with `visible_projects`."""
     name = person.c.name.label("created_by_name")
     is_whole = literal(sees_whole_missions(actor)).label("is_whole")
-    extra = stmt.add_columns(name, is_whole, _mission_amounts(actor), _file_amounts(actor), _duration(actor))
+    level = level_on_project(actor).label("level")
+    amounts = (_mission_amounts(actor), _file_amounts(actor), _duration(actor))
+    extra = stmt.add_columns(name, is_whole, level, *amounts)
     return extra.join(person, person.c.id == project.c.created_by_id)
 
 
@@ -68,6 +77,7 @@ def to_project(row: Row[Any]) -> ProjectRead:
         size_bytes=size_bytes,
         duration_ns=int(row.recordings[0]),
         unsatisfied_mission_count=unsatisfied,
+        right=Right.of_level(row.level),
     )
 
 

@@ -11,7 +11,7 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.projects import service
 
@@ -41,9 +41,11 @@ async def list_projects(
 
 
 @router.post("", operation_id="create_project", status_code=201)
-async def create_project(wanted: ProjectCreate, db: Transaction, actor: CurrentActor) -> ProjectRead:
+async def create_project(
+    wanted: ProjectCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> ProjectRead:
     """Make a project."""
-    return await service.create_project(db, actor, wanted=wanted)
+    return await service.create_project(db, actor, wanted=wanted, creators=settings.creators)
 
 
 @router.get("/{project_id}", operation_id="get_project")

@@ -15,7 +15,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.groups import own_group, own_project
+from kleinkram.server.access.creating import give_first_rights, require_creator
 from kleinkram.server.access.rights import require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
@@ -23,6 +23,7 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.projects import queries
 from kleinkram.server.projects.fields import read_fields
+from kleinkram.server.settings import Creators
 from kleinkram.server.tables import project
 
 
@@ -51,14 +52,16 @@ async def list_projects(
     return Page(items=[queries.to_project(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate) -> ProjectRead:
+async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate, creators: Creators) -> ProjectRead:
     """Make a project and return it.
 
     Raises:
+        Forbidden: the settings let others make projects.
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
     """
+    await require_creator(db, actor, creators, noun="project")
     fields = await asyncio.to_thread(read_fields, wanted.fields_yaml)
     project_id = uuid.uuid4()
     values = {"name": wanted.name, "name_key": name_key(wanted.name), "metadata_fields": _stored(fields)}
@@ -70,7 +73,8 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate)
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
     after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
-    await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
+    given = await give_first_rights(db, actor, project_id)
+    after |= {"grants": {name: right.value for name, right in given.items()}} if given else {}
     await record(db, actor, Event("project.create", "project", project_id, wanted.name, project_id, after=after))
     return await get_project(db, actor, project_id)
 

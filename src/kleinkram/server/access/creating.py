@@ -1,0 +1,53 @@
+"""Who may make projects and groups, which is a setting, and what a new project gives to whom."""
+
+import uuid
+
+from sqlalchemy import exists, insert, select
+
+from kleinkram.contract.errors import Forbidden
+from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.server.access.actor import Actor, unexpired
+from kleinkram.server.access.groups import own_group, own_project
+from kleinkram.server.access.owning import see_that_owners_stay
+from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.db import Connection
+from kleinkram.server.settings import Creators
+from kleinkram.server.tables import access_grant, access_group, affiliation, affiliation_domain, membership
+
+
+async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> None:
+    """See that `actor` may make a project or a group. Where there are no affiliations, everybody counts as affiliated.
+
+    Raises:
+        Forbidden: the setting lets others, or what they came with is limited to what is there.
+    """
+    if actor.limits is not None:
+        raise Forbidden(noun="server", operation=f"create a {noun}", needs="a token without limits")
+    if actor.is_admin or creators == "everybody":
+        return
+    if creators == "admins":
+        raise Forbidden(noun="server", operation=f"create a {noun}", needs="an admin")
+    mine = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+    affiliated = exists().where(
+        mine, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
+    )
+    if not (await db.execute(select(affiliated | ~exists(select(affiliation_domain.c.domain))))).scalar_one():
+        raise Forbidden(noun="server", operation=f"create a {noun}", needs="somebody affiliated with the lab")
+
+
+async def give_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
+    """Make whoever made a project its owner, and give each affiliation group what the settings say; return these.
+
+    Raises:
+        LastOwner: its maker left meanwhile.
+    """
+    await hold_rights(db)
+    await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
+    stmt = select(access_group.c.id, access_group.c.name, affiliation.c.default_level).join(affiliation)
+    rows = (await db.execute(stmt.where(affiliation.c.default_level.is_not(None)))).all()
+    if rows:
+        place = {"project_id": project_id, "granted_by_id": actor.person_id}
+        given = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **place} for row in rows]
+        await db.execute(insert(access_grant), given)
+    await see_that_owners_stay(db, [project_id])
+    return {row.name: Right.of_level(row.default_level) for row in rows}
