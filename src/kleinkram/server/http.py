@@ -25,6 +25,7 @@ from kleinkram.contract.errors import (
     to_problem,
 )
 from kleinkram.server import measures
+from kleinkram.server.audit.places import named
 from kleinkram.server.audit.refusals import Refusal, Refusals
 from kleinkram.server.headers import guarded
 from kleinkram.server.proxies import set_asker
@@ -142,6 +143,7 @@ async def note_refusal(request: Request, error: KleinkramError) -> None:
         why={name: str(value) for name, value in error.fields().items()},
         address=request.client.host if request.client else None,
         request_id=_request_id(request),
+        about=named(request.path_params, request.query_params),
     )
     await state.refusals.note(state.database, refusal)
 

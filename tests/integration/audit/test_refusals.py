@@ -7,11 +7,13 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.errors import Forbidden
+from kleinkram.contract.rights import Right
 from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
 from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.site import Site
+from tests.integration import people
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
@@ -87,3 +89,14 @@ def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi
     operations = api.sql("SELECT operation, noun_id FROM audit_event WHERE noun = 'token' ORDER BY id")
     tokens = [row[0] for row in api.sql("SELECT id FROM token ORDER BY created_at")]
     assert operations == [("token.create", tokens[0]), ("token.revoke", tokens[0]), ("token.create", tokens[1])]
+
+
+def test_the_owners_of_a_place_see_who_was_denied_something_there(api: Api) -> None:
+    project = api.project()["id"]
+    mission = api.mission(project)["id"]
+    owner, reader = people.person(api), people.person(api)
+    people.grant(api, owner, Right.delete, project_id=project)
+    people.grant(api, reader, Right.read, mission_id=mission)
+    api.as_(reader.token).delete(f"/missions/{mission}").refused(403, "forbidden")
+    (event,) = api.as_(owner.token).get("/audit", {"operation": "access.denied"}).ok()["items"]
+    assert (event["actor"]["id"], event["mission_id"], event["project_id"]) == (reader.id, mission, project)

@@ -7,13 +7,16 @@ nor anything else that the request brought along beside its address.
 
 import logging
 import time
+import uuid
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
+from kleinkram.server.audit.places import Named, whereabouts
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.db import Database
+from kleinkram.server.db import Connection, Database
 
 PER_MINUTE = 20
 _MINUTE_S = 60
@@ -29,6 +32,7 @@ class Refusal:
     why: Metadata
     address: str | None
     request_id: str | None
+    about: Named | None = None
 
     @property
     def operation(self) -> str:
@@ -73,9 +77,31 @@ class Refusals:
         after: Metadata = {**refusal.why}
         if left_out:
             after["left_out_before"] = left_out
-        event = Event(refusal.operation, "request", None, refusal.place, None, after=after)
         try:
             async with database.begin() as db:
+                at = await _found(db, refusal)
+                event = Event(
+                    refusal.operation,
+                    "request",
+                    None,
+                    refusal.place,
+                    at.project_id,
+                    after=after,
+                    mission_id=at.mission_id,
+                )
                 await record(db, refusal.who, event)
         except DatabaseUnavailable:
             _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})
+
+
+class _At(NamedTuple):
+    project_id: uuid.UUID | None = None
+    mission_id: uuid.UUID | None = None
+
+
+async def _found(db: Connection, refusal: Refusal) -> _At:
+    """Return where somebody was denied something, for the owners of that place; whoever is unknown was nowhere."""
+    if refusal.actor is None or refusal.about is None:
+        return _At()
+    row = (await db.execute(whereabouts(refusal.about))).one_or_none()
+    return _At() if row is None else _At(row.project_id, row.mission_id)
