@@ -12,7 +12,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 import urllib3
 
-from .conftest import Instance, Terminal, end
+from .conftest import Terminal, end
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,14 @@ class Browser:
 
 
 @pytest.fixture
-def browser(instance: Instance) -> Iterator[Browser]:
+def browser(terminal: Terminal) -> Iterator[Browser]:
     """The browser of the owner of `klein up`, signed in by a one-time link."""
-    url = str(instance.told()["url"]).rstrip("/")
-    token = (instance.data_dir / instance.told()["token_file"]).read_text().strip()
+    link = urlsplit(terminal.run("session", "link").out.strip())
+    url = f"{link.scheme}://{link.netloc}"
     with urllib3.PoolManager(retries=False, timeout=20) as pool:
-        asked = pool.request("POST", f"{url}/api/v1/auth/owner-link", headers={"Authorization": f"Bearer {token}"})
-        link = json.loads(asked.data)["url"]
-        code = urlsplit(link).fragment.rpartition("=")[2]
         headers = {"Origin": url, "Content-Type": "application/json"}
-        answer = pool.request("POST", f"{url}/api/v1/auth/link", body=json.dumps({"code": code}), headers=headers)
+        body = json.dumps({"code": link.fragment})
+        answer = pool.request("POST", f"{url}/api/v1/auth/link", body=body, headers=headers)
         assert answer.status == 200, answer.data
         yield Browser(url, answer.headers["Set-Cookie"].partition(";")[0], pool)
 

@@ -7,7 +7,7 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, Yes, confirm
-from kleinkram.cli.render import note, show_json, show_json_list, table
+from kleinkram.cli.render import line, moment, note, show_json, show_json_list, table
 from kleinkram.client.errors import InvalidInput
 
 app = typer.Typer(
@@ -30,6 +30,18 @@ def list_(as_json: AsJson = False) -> None:
         ["id", "signed in", "last used", "until", "from", "browser"],
         [(row.id, row.created_at, row.last_used_at, row.expires_at, row.address, row.user_agent) for row in rows],
     )
+
+
+@app.command("link")
+def link(as_json: AsJson = False) -> None:
+    """Print a link that signs a browser in as the owner of `klein up`. It is good once, and for some minutes."""
+    with connect() as client:
+        made = client.me.owner_link()
+    if as_json:
+        show_json(made)
+        return
+    line(made.url)
+    note(f"Good once, until {moment(made.expires_at)}.")
 
 
 @app.command("revoke")

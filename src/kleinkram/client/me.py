@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 from kleinkram.client._http import Api
 from kleinkram.client._paging import pages
+from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.signing_in import MeRead, SessionRead
 
 
@@ -45,3 +46,11 @@ class Me:
     def end_sessions(self) -> None:
         """Sign every browser out. Tokens stay as they are."""
         self._api.delete("/me/sessions")
+
+    def owner_link(self) -> OneTimeLink:
+        """Return a link that signs a browser in, once, as the owner of `klein up`. One made before is good no more.
+
+        Raises:
+            Forbidden: the token in use is not the owner's.
+        """
+        return OneTimeLink.model_validate_json(self._api.post_empty("/auth/owner-link"))
