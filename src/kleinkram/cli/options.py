@@ -19,6 +19,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 Limit = Annotated[int | None, typer.Option("--limit", metavar="N", min=1, help="At most so many.")]
+Until = Annotated[
+    str | None, typer.Option("--until", metavar="DATE", help="When it ends, UTC; a date means its beginning.")
+]
 LimitRate = Annotated[
     str | None, typer.Option("--limit-rate", metavar="RATE", help="At most so many bytes a second, such as 10M.")
 ]

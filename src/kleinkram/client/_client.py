@@ -5,11 +5,14 @@ from types import TracebackType
 from typing_extensions import Self
 
 from kleinkram.client._http import Api
+from kleinkram.client.access import Access
 from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
 from kleinkram.client.files import Files
+from kleinkram.client.groups import Groups
 from kleinkram.client.me import Me
 from kleinkram.client.missions import Missions
+from kleinkram.client.people import People
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
 from kleinkram.client.service import Service
@@ -30,6 +33,9 @@ class Client:
         self.files = Files(api)
         self.recordings = Recordings(api)
         self.uploads = Uploads(api)
+        self.access = Access(api)
+        self.groups = Groups(api)
+        self.people = People(api)
         self.trash = Trash(api)
         self.stats = Stats(api)
         self.audit = Audit(api)

@@ -1,0 +1,104 @@
+"""`klein person …`"""
+
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.options import AsJson, Limit, Yes, confirm
+from kleinkram.cli.render import details, escape, note, show_json, show_json_list, table
+from kleinkram.contract.people import PersonRead
+
+app = typer.Typer(
+    help="People whom you share a group or a project with; admins see all.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Who = Annotated[str, typer.Argument(metavar="PERSON", help="Name, id, or an address you may know.", show_default=False)]
+
+
+@app.command("list")
+def list_(
+    text: Annotated[str | None, typer.Argument(metavar="TEXT", help="Found in names.", show_default=False)] = None,
+    left: Annotated[bool, typer.Option("--left", help="Those who left, for admins.")] = False,
+    limit: Limit = None,
+    as_json: AsJson = False,
+) -> None:
+    """List people, by name."""
+    with connect() as client:
+        rows = [*client.people.list(text=text, active=not left, limit=limit)]
+    if as_json:
+        show_json_list(rows)
+        return
+    table(
+        ["name", "addresses", "admin", "id"],
+        [(row.name, row.emails or None, row.is_admin, row.id) for row in rows],
+    )
+
+
+@app.command("info")
+def info(who: Who, as_json: AsJson = False) -> None:
+    """Show one person."""
+    with connect() as client:
+        found = client.people.get(who)
+    _show(found, as_json)
+
+
+@app.command("admin")
+def admin(
+    who: Who,
+    end: Annotated[bool, typer.Option("--end", help="Take that power away.")] = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make somebody an admin, who sees and does everything."""
+    with connect() as client:
+        found = client.people.get(who)
+        if end:
+            changed = client.people.unmake_admin(found.id)
+        else:
+            confirm(f"Let {escape(found.name)} see and do everything on this server?", yes)
+            changed = client.people.make_admin(found.id)
+    _show(changed, as_json)
+
+
+@app.command("deactivate")
+def deactivate(who: Who, yes: Yes = False, as_json: AsJson = False) -> None:
+    """End somebody's sessions, tokens and links; projects that only they owned go to the admins."""
+    with connect() as client:
+        found = client.people.get(who)
+        confirm(f"Deactivate {escape(found.name)} ({found.id})?", yes)
+        ended = client.people.deactivate(found.id)
+    if as_json:
+        show_json(ended)
+        return
+    note(f"{escape(found.name)} left: {ended.sessions} sessions, {ended.tokens} tokens and {ended.links} links ended.")
+    if ended.projects:
+        note(f"The admins own now: {escape(', '.join(ended.projects))}")
+
+
+@app.command("reactivate")
+def reactivate(who: Who, as_json: AsJson = False) -> None:
+    """Let somebody who left sign in again. Their tokens stay revoked."""
+    with connect() as client:
+        changed = client.people.reactivate(client.people.get(who).id)
+    _show(changed, as_json)
+
+
+def _show(person: PersonRead, as_json: bool) -> None:
+    if as_json:
+        show_json(person)
+        return
+    details(
+        [
+            ("person", person.name),
+            ("id", person.id),
+            ("addresses", person.emails),
+            ("admin", person.is_admin),
+            ("since", person.created_at),
+            ("left", person.deactivated_at),
+        ]
+    )

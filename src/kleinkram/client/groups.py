@@ -1,0 +1,95 @@
+"""Groups of people, for programs."""
+
+import datetime
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._paging import pages
+from kleinkram.client.checking import checked
+from kleinkram.client.references import the_one
+from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
+from kleinkram.contract.names import is_id
+
+
+class Groups:
+    """`client.groups`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(self, *, name: str | None = None, limit: int | None = None) -> Iterator[GroupRead]:
+        """Yield the groups that one is in, by name; admins see all. `name` may be a glob."""
+        return pages(self._api, "/groups", GroupRead, query_of(None, name=name), limit=limit)
+
+    def get(self, ref: str | uuid.UUID) -> GroupRead:
+        """Return the group with this id or name.
+
+        Raises:
+            NotFound: there is none that one may see.
+            AmbiguousName: a glob matches several.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/groups/{ref}", GroupRead)
+        return the_one("group", ref, self.list(name=ref), name=lambda row: row.name, label=_label)
+
+    def create(self, name: str) -> GroupRead:
+        """Make a group, with oneself as first member and editor.
+
+        Raises:
+            NameTaken: there is one of that name, seen or not.
+            Forbidden: the server lets others make groups.
+            InvalidInput: the name is not usable.
+        """
+        return self._api.send("POST", "/groups", GroupRead, checked(GroupCreate, "The group", name=name))
+
+    def rename(self, group_id: uuid.UUID, name: str) -> GroupRead:
+        """Rename a group. For its editors.
+
+        Raises:
+            NameTaken, InvalidInput: as in `create`.
+            GroupFixed: its name is in the server's settings.
+        """
+        return self._api.patch(f"/groups/{group_id}", GroupRead, checked(GroupUpdate, "The group", name=name))
+
+    def delete(self, group_id: uuid.UUID) -> None:
+        """Delete a group, and with it what was granted to it. For its editors.
+
+        Raises:
+            LastOwner: a project would be left without an owner.
+            GroupFixed: it is one that the server's settings ask for.
+        """
+        self._api.delete(f"/groups/{group_id}")
+
+    def members(self, group_id: uuid.UUID) -> Iterator[MemberRead]:
+        """Yield the people in a group, by name; addresses and past members are for its editors."""
+        return pages(self._api, f"/groups/{group_id}/members", MemberRead, [])
+
+    def set_member(
+        self,
+        group_id: uuid.UUID,
+        person_id: uuid.UUID,
+        *,
+        is_editor: bool = False,
+        expires_at: datetime.datetime | None = None,
+    ) -> MemberRead:
+        """Put somebody into a group, or change how and until when they are in it. For its editors.
+
+        Raises:
+            NotFound: there is nobody of that id whom one may know of.
+            InvalidInput: the time has no zone.
+        """
+        body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
+        return self._api.send("PUT", f"/groups/{group_id}/members/{person_id}", MemberRead, body)
+
+    def remove_member(self, group_id: uuid.UUID, person_id: uuid.UUID) -> None:
+        """Take somebody out of a group, as its editor; or leave it oneself.
+
+        Raises:
+            LastOwner: a project would be left without an owner.
+        """
+        self._api.delete(f"/groups/{group_id}/members/{person_id}")
+
+
+def _label(group: GroupRead) -> str:
+    return f"{group.name} ({group.id})"

@@ -1,0 +1,68 @@
+"""People, for programs: those one may know of."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._paging import pages
+from kleinkram.client.references import the_one
+from kleinkram.contract.names import is_id
+from kleinkram.contract.people import Departure, PersonRead
+
+
+class People:
+    """`client.people`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(
+        self, *, text: str | None = None, active: bool | None = None, limit: int | None = None
+    ) -> Iterator[PersonRead]:
+        """Yield the people one may know of, by name; `text` is found in names, and in addresses that one may know."""
+        return pages(self._api, "/people", PersonRead, query_of(None, text=text, active=active), limit=limit)
+
+    def get(self, ref: str | uuid.UUID) -> PersonRead:
+        """Return the person with this id, address or name.
+
+        Raises:
+            NotFound: there is nobody whom one may know of.
+            AmbiguousName: several have that name.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/people/{ref}", PersonRead)
+        rows = [*self.list(text=ref)]
+        by_address = [row for row in rows if ref.lower() in [email.lower() for email in row.emails]]
+        return the_one(
+            "person", ref, by_address or rows, name=lambda row: ref if by_address else row.name, label=_label
+        )
+
+    def make_admin(self, person_id: uuid.UUID) -> PersonRead:
+        """Make somebody an admin, without an end. For admins."""
+        return self._api.send("POST", f"/people/{person_id}/admin", PersonRead)
+
+    def unmake_admin(self, person_id: uuid.UUID) -> PersonRead:
+        """Take the power of an admin from somebody. For admins.
+
+        Raises:
+            LastAdmin: nobody else has it without an end.
+        """
+        return self._api.send("DELETE", f"/people/{person_id}/admin", PersonRead)
+
+    def deactivate(self, person_id: uuid.UUID) -> Departure:
+        """End somebody's sessions, tokens and links at once, and return what ended. For admins.
+
+        Projects that nobody else owns go to the admins; their name stays in the record.
+
+        Raises:
+            LastAdmin: they are the last lasting admin.
+        """
+        return self._api.send("POST", f"/people/{person_id}/deactivate", Departure)
+
+    def reactivate(self, person_id: uuid.UUID) -> PersonRead:
+        """Let somebody who left sign in again, with the groups and rights they have. For admins."""
+        return self._api.send("POST", f"/people/{person_id}/reactivate", PersonRead)
+
+
+def _label(person: PersonRead) -> str:
+    return f"{person.name} ({person.id})"

@@ -1,0 +1,105 @@
+"""`klein group`, `klein access` and `klein person`, as two people and an admin use them."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from kleinkram.cli.main import app
+from kleinkram.contract.errors import AmbiguousName, Forbidden, LastOwner, NotFound, RightExceeded
+from tests.integration.people import Person, group, person
+from tests.integration.running import Api
+
+Klein = Callable[..., Any]
+
+
+@pytest.fixture
+def klein(api: Api, monkeypatch: pytest.MonkeyPatch) -> Klein:
+    """A terminal: runs a command as somebody and returns its JSON, or raises the error that it ended with."""
+
+    def run(who: Person | None, *arguments: str, as_json: bool = True) -> Any:
+        monkeypatch.setenv("KLEINKRAM_URL", api.url)
+        monkeypatch.setenv("KLEINKRAM_TOKEN", str(api.token if who is None else who.token))
+        ran = CliRunner().invoke(app, [*arguments, "--json"] if as_json else [*arguments])
+        if ran.exception is not None:
+            raise ran.exception
+        return json.loads(ran.stdout) if as_json else ran.output
+
+    return run
+
+
+def test_a_second_person_is_refused_then_granted_then_sees(api: Api, klein: Klein) -> None:
+    ada, bob = person(api), person(api, email="bob@lab.example")
+    name = klein(ada, "project", "create", f"alps of {ada.name}")["name"]
+    with pytest.raises(NotFound):
+        klein(bob, "project", "info", name)
+    given = klein(ada, "access", "grant", "-p", name, "--to", "bob@lab.example", "read", "--until", "2090-01-01")
+    assert (given["to"]["name"], given["right"], given["expires_at"][:10]) == ("bob@lab.example", "READ", "2090-01-01")
+    assert klein(bob, "project", "info", name)["right"] == "READ"
+    (way,) = klein(bob, "access", "list", "-p", name)["items"]
+    assert (way["person"]["id"], way["to"]["name"], way["through"]) == (bob.id, "bob@lab.example", "project grant")
+    with pytest.raises(Forbidden):
+        klein(bob, "access", "grant", "-p", name, "--to", "x@lab.example", "READ")
+    shown = klein(ada, "access", "list", "-p", name, as_json=False)
+    assert "email bob@lab.example" in shown
+    assert "admins" in shown
+    klein(ada, "access", "revoke", "-p", name, "--to", "BOB@lab.example")
+    with pytest.raises(NotFound):
+        klein(bob, "project", "info", name)
+    with pytest.raises(LastOwner):
+        klein(ada, "access", "revoke", "-p", name, "--to", ada.name)
+
+
+def test_a_group_is_made_filled_granted_and_ended(api: Api, klein: Klein) -> None:
+    ada, bob = person(api), person(api)
+    group(api, members=[ada, bob])
+    name = klein(ada, "group", "create", f"drivers of {ada.name}")["name"]
+    (member,) = klein(ada, "group", "add", name, bob.name, "--until", "2090-05-01T12:00:00Z")["items"]
+    assert (member["person"]["id"], member["is_editor"]) == (bob.id, False)
+    project = api.as_(ada.token).project()
+    mission = api.as_(ada.token).mission(project["id"])
+    place = ["-p", project["name"], "-m", mission["name"]]
+    klein(ada, "access", "grant", *place, "--to", name, "CREATE")
+    assert klein(bob, "mission", "info", "-m", mission["id"])["mission"]["right"] == "CREATE"
+    assert [row["name"] for row in klein(bob, "group", "list", "drivers*")["items"]] == [name]
+    told = klein(bob, "group", "info", name)
+    assert [row["person"]["name"] for row in told["members"]] == sorted([ada.name, bob.name])
+    assert bob.name in klein(ada, "access", "list", *place, as_json=False)
+    assert name in klein(ada, "access", "list", *place, "--grants", as_json=False)
+    with pytest.raises(Forbidden):
+        klein(bob, "group", "rename", name, "mine")
+    renamed = klein(ada, "group", "rename", name, f"{name} II")["name"]
+    klein(bob, "group", "remove", renamed, bob.name)
+    with pytest.raises(NotFound):
+        klein(bob, "mission", "info", "-m", mission["id"])
+    klein(ada, "group", "delete", renamed, "--yes")
+    assert [row["to"]["name"] for row in klein(ada, "access", "list", *place, "--grants")["items"]] == []
+
+
+def test_a_name_that_is_somebodys_and_a_groups_must_be_told_apart(api: Api, klein: Klein) -> None:
+    ada, bob = person(api), person(api)
+    twin = group(api, bob.name, members=[ada, bob])
+    project = api.as_(ada.token).project()
+    with pytest.raises(AmbiguousName):
+        klein(ada, "access", "grant", "-p", project["name"], "--to", bob.name, "READ")
+    given = klein(ada, "access", "grant", "-p", project["name"], "--to", twin, "WRITE")
+    assert given["to"] == {"kind": "group", "id": twin, "name": bob.name}
+    with pytest.raises(RightExceeded):
+        klein(bob, "access", "grant", "-p", project["name"], "--to", bob.id, "DELETE")
+
+
+def test_an_admin_sees_everybody_and_lets_them_go(api: Api, klein: Klein) -> None:
+    ada = person(api, email="ada@lab.example")
+    project = api.as_(ada.token).project()
+    (found,) = klein(None, "person", "list", "ada@lab.example")["items"]
+    assert (found["id"], found["emails"], found["is_admin"]) == (ada.id, ["ada@lab.example"], False)
+    assert klein(None, "person", "admin", "ada@lab.example", "--yes")["is_admin"] is True
+    assert klein(ada, "person", "info", ada.id)["is_admin"] is True
+    assert klein(None, "person", "admin", ada.id, "--end")["is_admin"] is False
+    ended = klein(None, "person", "deactivate", ada.id, "--yes")
+    assert (ended["tokens"], ended["projects"]) == (1, [project["name"]])
+    (left,) = klein(None, "person", "list", ada.name, "--left")["items"]
+    assert left["deactivated_at"] is not None
+    assert klein(None, "person", "reactivate", ada.id)["deactivated_at"] is None
