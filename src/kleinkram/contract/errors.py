@@ -375,14 +375,26 @@ class BodyTooLarge(KleinkramError):
 
 @dataclass(eq=False)
 class FileExists(KleinkramError):
-    """{path!r} is already in this mission with other content (there sha256 {existing_sha256}, yours {given_sha256}). Nothing was changed; rename yours, or delete the old one first."""  # noqa: E501  one sentence
+    """{path!r} is already in this mission with other content{hashes}. Nothing was changed; rename yours, or delete the old one first."""  # noqa: E501  one sentence
 
     code = ErrorCode.file_exists
     status = 409
     path: str
+    # Null, as is the id, for who may not read what is there.
     existing_sha256: str | None
     given_sha256: str | None
-    existing_file_id: str
+    existing_file_id: str | None
+
+    @property
+    def hashes(self) -> str:
+        """Both contents, where both may be told."""
+        if self.existing_sha256 is None:
+            return ""
+        return f" (there sha256 {self.existing_sha256}, yours {self.given_sha256})"
+
+    def sentence(self) -> str:
+        """Return the sentence with the hashes."""
+        return (type(self).__doc__ or "").format(**self.__dict__, hashes=self.hashes)
 
 
 @dataclass(eq=False)
@@ -455,8 +467,8 @@ class QuotaExceeded(KleinkramError):
     unit: str
     asked: int
     # Null for whoever may not see what the project holds.
-    used: int | None
-    quota: int | None
+    used: int | None = None
+    quota: int | None = None
 
     @property
     def numbers(self) -> str:

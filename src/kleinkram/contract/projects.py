@@ -13,6 +13,10 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
 
 Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
+# An SPDX identifier such as CC-BY-4.0, or the licence's own words.
+Licence = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
+Citation = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
+Quota = Annotated[int, Field(ge=0, le=2**63 - 1)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
@@ -36,17 +40,28 @@ class ProjectCreate(BaseModel):
 
 
 class ProjectUpdate(BaseModel):
-    """What to change of a project; what is left out stays."""
+    """What to change of a project; what is left out stays.
+
+    Anybody may read a public project, with or without an account. A quota of null is none; admins set quotas.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name | None = None
     description: Description | None = None
     fields_yaml: FieldsYaml | None = None
+    is_public: bool | None = None
+    licence: Licence | None = None
+    citation: Citation | None = None
+    quota_bytes: Quota | None = None
+    quota_files: Quota | None = None
 
 
 class ProjectRead(BaseModel):
-    """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it."""
+    """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
+
+    What is used, which the quotas bound, is the files and the uploads under way.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -61,6 +76,13 @@ class ProjectRead(BaseModel):
     size_bytes: int
     duration_ns: int
     unsatisfied_mission_count: int
+    is_public: bool
+    licence: str
+    citation: str
+    quota_bytes: int | None
+    quota_files: int | None
+    used_bytes: int
+    used_files: int
     right: Right
 
 

@@ -107,12 +107,12 @@ class UploadRead(BaseModel):
 
 
 class Present(BaseModel):
-    """The mission already has this very file under this name: nothing to send."""
+    """The mission already has this very file under this name: nothing to send. `file` is null for who may not read."""
 
     model_config = ConfigDict(frozen=True)
 
     decision: Literal["present"] = "present"
-    file: FileRead
+    file: FileRead | None
 
 
 class Linked(BaseModel):
@@ -226,13 +226,13 @@ class UploadsComplete(BaseModel):
 
 
 class Completed(BaseModel):
-    """The store agreed; the file exists."""
+    """The store agreed; the file exists. It is null for who may not read, where another brought the same bytes."""
 
     model_config = ConfigDict(frozen=True)
 
     outcome: Literal["completed"] = "completed"
     upload_id: uuid.UUID
-    file: FileRead
+    file: FileRead | None
 
 
 class NotCompleted(BaseModel):

@@ -43,7 +43,7 @@ def outing(api: Api, sample: Sample) -> Outing:
     project = api.project(description="the secret of the project")
     mission = api.mission(project["id"], notes="the secret of the mission", metadata_yaml="robot: anymal\n")
     topic = {"name": "/imu", "message_type": "sensor_msgs/Imu", "count": 5}
-    halves = [
+    first, second = (
         sample.file(
             mission["id"],
             f"split_{number}.mcap",
@@ -53,7 +53,7 @@ def outing(api: Api, sample: Sample) -> Outing:
             message_count=5,
         )
         for number in range(2)
-    ]
+    )
     other = sample.file(
         mission["id"],
         "other.mcap",
@@ -63,10 +63,10 @@ def outing(api: Api, sample: Sample) -> Outing:
         message_count=7,
         size_bytes=999,
     )
-    split = sample.recording(mission["id"], "split", halves, start_ns=0, end_ns=2 * _HOUR_NS)
+    split = sample.recording(mission["id"], "split", [first, second], start_ns=0, end_ns=2 * _HOUR_NS)
     alone = sample.recording(mission["id"], "other", [other], start_ns=5 * _HOUR_NS, end_ns=90 * _HOUR_NS)
     api.sql("UPDATE mission SET start_ns = 0, end_ns = %s WHERE id = %s", 90 * _HOUR_NS, mission["id"])
-    return Outing(project, mission, *halves, other, split, alone)
+    return Outing(project, mission, first, second, other, split, alone)
 
 
 def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: Outing) -> None:

@@ -17,6 +17,7 @@ _ID = uuid.UUID("0f0e0d0c-0b0a-4090-8070-605040302010")
 def _known(**changes: Any) -> Known:
     values: dict[str, Any] = {
         "person_id": _PERSON,
+        "may_read": True,
         "files": {},
         "uploads": {},
         "twin_sizes": frozenset(),

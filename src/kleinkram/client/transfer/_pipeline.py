@@ -269,8 +269,8 @@ class Pipeline:
             self._fail(sending, from_problem(outcome.problem))
         elif sending.end():
             sending.journal.forget()
-            file = outcome.file
-            self._ended(sending.result(Outcome.uploaded, file_id=file.id, sha256=file.sha256))
+            file_id = outcome.file.id if outcome.file else None
+            self._ended(sending.result(Outcome.uploaded, file_id=file_id, sha256=sending.to_finish().sha256))
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 

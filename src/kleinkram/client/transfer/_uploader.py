@@ -21,7 +21,7 @@ from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.client.transfer.progress import Watcher
 from kleinkram.client.uploads import Uploads
-from kleinkram.contract.errors import KleinkramError, NameLeased, UploadGone, from_problem
+from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone, from_problem
 from kleinkram.contract.uploads import (
     MIN_PART_BYTES,
     HashFirst,
@@ -117,8 +117,12 @@ class Uploader:
         try:
             while asking:
                 self._stop.check()
-                decisions = self._uploads.begin(self._mission_id, [candidate.announcement() for candidate in asking])
-                answered = [*zip(asking, decisions.items, strict=True)]
+                try:
+                    decisions = self._begin(asking)
+                except QuotaExceeded as error:
+                    asking = [candidate for candidate in asking if self._refused(candidate, error)]
+                    continue
+                answered = [*zip(asking, decisions, strict=True)]
                 # All written down before the first is sent: a kill from here on leaves none that cannot be resumed.
                 for candidate, decision in answered:
                     if isinstance(decision, Send):
@@ -129,6 +133,9 @@ class Uploader:
             for candidate in asking:
                 candidate.close()
             raise
+
+    def _begin(self, asking: Sequence[Candidate]) -> Sequence[UploadDecision]:
+        return self._uploads.begin(self._mission_id, [candidate.announcement() for candidate in asking]).items
 
     def _opened(self, file: LocalFile) -> Candidate | None:
         """Open a file and its journal, and hash it when it is small."""
@@ -170,7 +177,8 @@ class Uploader:
             self._watcher.held(file.path, file.size_bytes, file.size_bytes)
             outcome = Outcome(decision.decision)
             kept = decision.file
-            result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, kept.id, kept.sha256)
+            file_id, sha256 = (kept.id, kept.sha256) if kept else (None, _known_hash(candidate))
+            result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256)
             self._ended(result)
         else:
             self._pipeline.submit(Sending(candidate.source, candidate.journal, decision.upload, candidate.whole))
@@ -257,6 +265,10 @@ def batches(files: Iterable[LocalFile]) -> Iterator[list[LocalFile]]:
         size += file.size_bytes
     if batch:
         yield batch
+
+
+def _known_hash(candidate: Candidate) -> str | None:
+    return candidate.whole.sha256.hexdigest() if candidate.whole else None
 
 
 def _same_lease(now: NameLeased, then: NameLeased) -> bool:

@@ -29,6 +29,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.shares.service import note_downloads
@@ -91,6 +92,7 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
         NotFound: the file, or the mission to move it to, is not there.
         Forbidden: the change takes more than they hold here, or, for a move, there.
         NameTaken: there is a file of that path.
+        QuotaExceeded: the project to move it to has no room for it.
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
     old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
@@ -103,6 +105,8 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
     if changes.labels is not None and (labels := list(dict.fromkeys(changes.labels))) != old.labels:
         values["labels"] = labels
     if (mission_id, path) != (old.mission_id, old.path):
+        if (project_id := await project_of(db, mission_id)) != old.project_id:
+            await require_room(db, actor, project_id=project_id, asked=Amount(1, old.size_bytes))
         await _check_move(db, actor, old, mission_id=mission_id, path=path)
         values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
     if not values:

@@ -34,6 +34,7 @@ from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import write_template
 from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.quotas.service import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 
@@ -149,6 +150,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         YamlInvalid: the metadata cannot be read.
         MetadataInvalid: new metadata does not satisfy the project.
         NameTaken: the project has a mission of that name.
+        QuotaExceeded: the project to move it to has no room for it.
     """
     document = None if changes.metadata_yaml is None else await asyncio.to_thread(read_metadata, changes.metadata_yaml)
     row = await get_mission_row(db, actor, mission_id)
@@ -161,6 +163,8 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     await lock_mission(db, mission_id)
     old = await get_mission(db, actor, mission_id)
     await _see_that_it_may_change(db, actor, old, changes)
+    if changes.project_id is not None and changes.project_id != old.project.id:
+        await require_room_for_mission(db, actor, project_id=changes.project_id, mission_id=mission_id)
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old

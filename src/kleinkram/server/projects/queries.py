@@ -20,7 +20,8 @@ from kleinkram.server.access.visible import (
 )
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_projects
-from kleinkram.server.tables import blob, file, mission, person, project, recording
+from kleinkram.server.tables import blob, file, mission, person, project, recording, upload
+from kleinkram.server.tables.upload import UNDER_WAY
 
 
 def _amounts(*numbers: ColumnElement[Any]) -> Select[Any]:
@@ -51,12 +52,20 @@ def _duration(actor: Actor) -> ColumnElement[Any]:
     return joined.scalar_subquery().label("recordings")
 
 
+def _upload_amounts(actor: Actor) -> ColumnElement[Any]:
+    stmt = _amounts(func.count(), func.sum(upload.c.size_bytes)).where(upload.c.state.in_(UNDER_WAY))
+    if not sees_whole_missions(actor):
+        stmt = stmt.where(upload.c.person_id == actor.person_id)
+    joined = stmt.join_from(mission, upload, upload.c.mission_id == mission.c.id)
+    return joined.scalar_subquery().label("uploads")
+
+
 def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_project` reads, of a select that began with `visible_projects`."""
     name = person.c.name.label("created_by_name")
     is_whole = literal(sees_whole_missions(actor)).label("is_whole")
     level = level_on_project(actor).label("level")
-    amounts = (_mission_amounts(actor), _file_amounts(actor), _duration(actor))
+    amounts = (_mission_amounts(actor), _file_amounts(actor), _upload_amounts(actor), _duration(actor))
     extra = stmt.add_columns(name, is_whole, level, *amounts)
     return extra.join(person, person.c.id == project.c.created_by_id)
 
@@ -65,6 +74,7 @@ def to_project(row: Row[Any]) -> ProjectRead:
     """Return the project that a row of `project_rows` stands for."""
     mission_count, unsatisfied = (int(number) for number in row.missions)
     file_count, size_bytes = (int(number) for number in row.files)
+    upload_count, upload_bytes = (int(number) for number in row.uploads)
     return ProjectRead(
         id=row.id,
         name=row.name,
@@ -77,6 +87,13 @@ def to_project(row: Row[Any]) -> ProjectRead:
         size_bytes=size_bytes,
         duration_ns=int(row.recordings[0]),
         unsatisfied_mission_count=unsatisfied,
+        is_public=row.is_public,
+        licence=row.licence,
+        citation=row.citation,
+        quota_bytes=row.quota_bytes if row.is_whole else None,
+        quota_files=row.quota_files if row.is_whole else None,
+        used_bytes=size_bytes + upload_bytes,
+        used_files=file_count + upload_count,
         right=Right.of_level(row.level),
     )
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import uuid
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import func, insert
@@ -16,7 +17,7 @@ from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort,
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.creating import give_first_rights, require_creator
-from kleinkram.server.access.rights import require_project
+from kleinkram.server.access.rights import admit, require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import service as missions
@@ -25,6 +26,10 @@ from kleinkram.server.projects import queries
 from kleinkram.server.projects.fields import read_fields
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import project
+
+# What of a project is for its owners, and what for admins.
+_OF_RELEASE = {"is_public", "licence", "citation"}
+_OF_QUOTA = {"quota_bytes", "quota_files"}
 
 
 async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> ProjectRead:
@@ -82,9 +87,13 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
 async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate) -> ProjectRead:
     """Change what is given and return the project. Missions that no longer satisfy new fields are reported, not broken.
 
+    To publish it, or take that back, is for its owners; its quotas are for admins. A quota below what is used keeps
+    more from coming, and takes nothing away.
+
     Raises:
         NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but not change it.
+        Forbidden: they may see it, but not change it, or not that of it.
+        ScopeMissing: the token is not for that change.
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
@@ -96,6 +105,7 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     before, after = _changes(old, changes, fields)
     if not after:
         return old
+    await _see_that_it_may_change(db, actor, project_id, after)
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
     try:
         await db.execute(queries.change_project(project_id, **values))
@@ -104,7 +114,7 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     if fields is not None and "metadata_fields" in after:
         await missions.rejudge_missions(db, project_id, fields)
     new = await get_project(db, actor, project_id)
-    await record(db, actor, Event("project.update", "project", project_id, new.name, project_id, before, after))
+    await record(db, actor, *_events(new, before, after))
     return new
 
 
@@ -138,6 +148,42 @@ async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> M
     return MissionTemplate(yaml=text, prefilled_from=source)
 
 
+async def _see_that_it_may_change(
+    db: Connection, actor: Actor, project_id: uuid.UUID, changed: Mapping[str, object]
+) -> None:
+    if changed.keys() & _OF_RELEASE:
+        admit(actor, "publish_project")
+        await require_project(db, actor, "publish_project", project_id)
+    if changed.keys() & _OF_QUOTA:
+        admit(actor, "set_project_quota")
+
+
+def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
+    """Return what the record says of a change: an event for each right that it took."""
+    released = "project.update"
+    if "is_public" in after:
+        released = "project.publish" if new.is_public else "project.unpublish"
+    kinds = {
+        ("project.update", "update_project"): after.keys() - _OF_RELEASE - _OF_QUOTA,
+        (released, "publish_project"): after.keys() & _OF_RELEASE,
+        ("project.set_quota", "set_project_quota"): after.keys() & _OF_QUOTA,
+    }
+    return [
+        Event(
+            operation,
+            "project",
+            new.id,
+            new.name,
+            new.id,
+            before={name: before[name] for name in before if name in names},
+            after={name: after[name] for name in after if name in names},
+            takes=takes,
+        )
+        for (operation, takes), names in kinds.items()
+        if names
+    ]
+
+
 def _stored(fields: MetadataFields) -> Any:  # Any: JSON, as the column takes it
     return fields.model_dump(mode="json", exclude_none=True)
 
@@ -145,13 +191,12 @@ def _stored(fields: MetadataFields) -> Any:  # Any: JSON, as the column takes it
 def _changes(
     old: ProjectRead, changes: ProjectUpdate, fields: MetadataFields | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    held = {"name": old.name, "description": old.description, "metadata_fields": _stored(old.metadata_fields)}
-    given = {
-        "name": changes.name,
-        "description": changes.description,
-        "metadata_fields": None if fields is None else _stored(fields),
-    }
-    after = {name: value for name, value in given.items() if value is not None and value != held[name]}
+    held = old.model_dump(mode="json", include={"name", "description", *_OF_RELEASE, *_OF_QUOTA})
+    held["metadata_fields"] = _stored(old.metadata_fields)
+    given: dict[str, Any] = changes.model_dump(exclude={"fields_yaml", *_OF_QUOTA}, exclude_none=True)
+    given |= changes.model_dump(include=_OF_QUOTA, exclude_unset=True)  # of these, null says something
+    given |= {} if fields is None else {"metadata_fields": _stored(fields)}
+    after = {name: value for name, value in given.items() if value != held[name]}
     return {name: held[name] for name in after}, after
 
 

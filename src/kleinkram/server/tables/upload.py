@@ -17,6 +17,9 @@ from sqlalchemy import (
 from kleinkram.contract.uploads import ChecksumKind, UploadState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
+# The states in which an upload holds its name, and the room for its bytes.
+UNDER_WAY = (UploadState.open.value, UploadState.completing.value)
+
 upload = Table(
     "upload",
     metadata,

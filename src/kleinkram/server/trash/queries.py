@@ -117,6 +117,7 @@ def trashed_file(actor: Actor, file_id: uuid.UUID, *, trash_days: int) -> Select
         mission.c.name.label("mission_name"),
         mission.c.deleted_at.label("mission_deleted_at"),
         mission.c.project_id,
+        blob.c.size_bytes,
         project.c.name.label("project_name"),
         project.c.deleted_at.label("project_deleted_at"),
     )

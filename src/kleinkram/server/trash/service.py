@@ -16,6 +16,7 @@ from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.service import check_path_free
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.quotas.service import Amount, project_of, require_room, require_room_for_mission
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import file, mission, project
 from kleinkram.server.trash import queries
@@ -43,6 +44,7 @@ async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uui
     Raises:
         NotFound: it is not in the trash, was there too long, or what held it is in the trash itself.
         NameTaken: something else has its name by now.
+        QuotaExceeded: its project has no room for it any more.
         PathConflict: a file's path is a folder by now, or needs a folder where a file is.
     """
     put_back = {
@@ -65,6 +67,7 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
     found = queries.trashed_mission(actor, mission_id, trash_days=trash_days)
     row = await _found(db, found, TrashNoun.mission, mission_id)
     _refuse_without_parent("project", row.project_name, row.project_deleted_at)
+    await require_room_for_mission(db, actor, project_id=row.project_id, mission_id=mission_id)
     await _undelete(db, mission, row, name=row.name)
     event = Event("mission.restore", "mission", mission_id, row.name, row.project_id, mission_id=mission_id)
     await record(db, actor, event)
@@ -72,7 +75,10 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
     found = queries.trashed_file(actor, file_id, trash_days=trash_days)
-    await lock_mission(db, (await _found(db, found, TrashNoun.file, file_id)).mission_id)
+    row = await _found(db, found, TrashNoun.file, file_id)
+    await lock_mission(db, row.mission_id)
+    project_id = await project_of(db, row.mission_id)
+    await require_room(db, actor, project_id=project_id, asked=Amount(1, row.size_bytes))
     # Once more, now that its mission is held; the sweep of single files holds no mission, so the file is locked too.
     row = await _found(db, found.with_for_update(of=file), TrashNoun.file, file_id)
     _refuse_without_parent("project", row.project_name, row.project_deleted_at)

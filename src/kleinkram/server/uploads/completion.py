@@ -24,6 +24,7 @@ from kleinkram.contract.errors import (
     from_problem,
     to_problem,
 )
+from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
@@ -63,7 +64,8 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
     outcomes: list[UploadOutcome] = []
     for finish in finishes:
         read = reads.get(made.get(finish.upload_id, finish.upload_id))
-        if read is not None and finish.upload_id not in failures:
+        is_there = read is not None or (finish.upload_id in made and Scope.read not in actor.scopes)
+        if is_there and finish.upload_id not in failures:
             outcomes.append(Completed(upload_id=finish.upload_id, file=read))
         else:
             error = failures.get(finish.upload_id, UploadGone(upload_id=str(finish.upload_id)))
@@ -121,8 +123,10 @@ async def _mark(
             )
         )
         await db.execute(statement, marks)
-    ids = [finish.upload_id for finish in finishes]
-    return {row.id: row for row in await db.execute(select(upload).where(among(upload.c.id, ids)))}
+    ids = dict.fromkeys(finish.upload_id for finish in finishes)
+    found = {row.id: row for row in await db.execute(select(upload).where(among(upload.c.id, ids)))}
+    # In the order asked: of two that cannot stand side by side, the first comes in.
+    return {each: found[each] for each in ids if each in found}
 
 
 def _unfit(row: Row[Any] | None, finish: UploadFinish) -> KleinkramError | None:
@@ -169,11 +173,12 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
         elif (there.size_bytes, there.sha256) == (row.size_bytes, row.sha256):
             made[row.id] = there.id  # somebody else linked or moved the same bytes here meanwhile
         else:
+            may_read = Scope.read in actor.scopes
             failures[row.id] = FileExists(
                 path=row.path,
-                existing_sha256=there.sha256.hex(),
+                existing_sha256=there.sha256.hex() if may_read else None,
                 given_sha256=row.sha256.hex(),
-                existing_file_id=str(there.id),
+                existing_file_id=str(there.id) if may_read else None,
             )
     made |= await _insert(db, actor, mission_id, fresh, existing)
     await _close(db, made)

@@ -8,15 +8,14 @@ from sqlalchemy import ColumnElement, Row, Select, false, func, select
 
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.rights import Right, Scope
-from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import blob, file, mission, upload
+from kleinkram.server.tables.upload import UNDER_WAY
 
 # What makes two files the same: size in bytes and SHA-256.
 Content = tuple[int, bytes]
-ACTIVE = (UploadState.open.value, UploadState.completing.value)
 
 
 def own_uploads(actor: Actor) -> Select[Any]:
@@ -39,7 +38,7 @@ async def active_uploads(db: Connection, mission_id: uuid.UUID, path_keys: Colle
     """Return the uploads that hold the given keys of a mission, locked."""
     statement = (
         select(upload, (upload.c.lease_ends_at > func.now()).label("leased"))
-        .where(upload.c.mission_id == mission_id, among(upload.c.path_key, path_keys), upload.c.state.in_(ACTIVE))
+        .where(upload.c.mission_id == mission_id, among(upload.c.path_key, path_keys), upload.c.state.in_(UNDER_WAY))
         .order_by(upload.c.id)
         .with_for_update()
     )

@@ -45,6 +45,8 @@ class Known:
     """What is known of the names and contents that a request touches, and of who asks."""
 
     person_id: uuid.UUID | None
+    # Whether they may read what is there; else they hear no more of it than that it is there.
+    may_read: bool
     files: Mapping[str, Row[Any]]
     uploads: Mapping[str, Row[Any]]
     twin_sizes: frozenset[int]
@@ -63,7 +65,7 @@ def decide(wanted: UploadFile, known: Known) -> Decision:
     if other := known.conflicts.get(wanted.path):
         return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=other))
     if existing := known.files.get(key):
-        decision = _beside(wanted, existing)
+        decision = _beside(wanted, existing, known)
         if decision:
             return decision
     if active := known.uploads.get(key):
@@ -71,7 +73,7 @@ def decide(wanted: UploadFile, known: Known) -> Decision:
     return _afresh(wanted, known)
 
 
-def _beside(wanted: UploadFile, existing: Row[Any]) -> Decision | None:
+def _beside(wanted: UploadFile, existing: Row[Any], known: Known) -> Decision | None:
     if existing.path != wanted.path:
         return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=existing.path))
     if wanted.sha256 is None:
@@ -79,9 +81,9 @@ def _beside(wanted: UploadFile, existing: Row[Any]) -> Decision | None:
     if content_of(wanted) != (existing.size_bytes, existing.sha256):
         error = FileExists(
             path=wanted.path,
-            existing_sha256=existing.sha256.hex(),
+            existing_sha256=existing.sha256.hex() if known.may_read else None,
             given_sha256=wanted.sha256,
-            existing_file_id=str(existing.id),
+            existing_file_id=str(existing.id) if known.may_read else None,
         )
         return Decision(wanted, Way.refuse, error=error)
     if existing.state in UNREADABLE:

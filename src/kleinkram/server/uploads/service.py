@@ -23,6 +23,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
+from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     HashFirst,
@@ -44,9 +45,11 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, upload
+from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, content_of, decide, first_come
 from kleinkram.server.uploads.signing_parts import is_multipart, renewed
@@ -64,10 +67,13 @@ async def begin_uploads(
     Raises:
         NotFound: no such mission for `actor`.
         Forbidden: they may see it, but put nothing into it.
+        QuotaExceeded: its project has no room for those that are not there yet; none of them was begun.
     """
     async with site.database.begin() as db:
         await missions.lock_mission_to_fill(db, actor, mission_id)
-        decisions = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
+        decisions, asked = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
+        await _take_over(db, decisions)
+        await require_room(db, actor, project_id=await project_of(db, mission_id), asked=asked)
         decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
         decisions = await _link_twins(db, actor, mission_id=mission_id, decisions=decisions)
         held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
@@ -82,7 +88,7 @@ async def begin_uploads(
     if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
         async with site.database.begin() as db:
             reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
-    return [_answer(decision, rows, parts, reads, actor.request_id) for decision in decisions]
+    return [_answer(actor, decision, rows, parts, reads) for decision in decisions]
 
 
 async def _let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
@@ -94,12 +100,13 @@ async def _let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
 
 async def _decide_all(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
-) -> list[Decision]:
+) -> tuple[list[Decision], Amount]:
     keys = [name_key(each.path) for each in wanted]
     paths = [each.path for each in wanted]
     contents = [content for each in wanted if (content := content_of(each))]
     known = Known(
         person_id=actor.person_id,
+        may_read=Scope.read in actor.scopes,
         files=await queries.live_files(db, mission_id, keys),
         uploads=await queries.active_uploads(db, mission_id, keys),
         twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
@@ -107,20 +114,28 @@ async def _decide_all(
         conflicts=await files.path_conflicts(db, mission_id, paths),
     )
     crowded = first_come(paths)
-    return [
+    decisions = [
         Decision(each, Way.refuse, error=PathConflict(path=each.path, other=crowded[place]))
         if place in crowded
         else decide(each, known)
         for place, each in enumerate(wanted)
     ]
+    # What mends a file takes the room that the file has already.
+    coming = [each.wanted for each in decisions if each.way in {Way.begin, Way.link}]
+    coming = [each for each in coming if name_key(each.path) not in known.files]
+    return decisions, Amount(len(coming), sum(each.size_bytes for each in coming))
+
+
+async def _take_over(db: Connection, decisions: Sequence[Decision]) -> None:
+    """End the uploads that had names which are wanted now, and whose leases have run out."""
+    lapsed = [decision.takes_over for decision in decisions if decision.takes_over]
+    if lapsed:
+        await db.execute(update(upload).where(among(upload.c.id, lapsed)).values(state=UploadState.aborted.value))
 
 
 async def _hold_names(
     db: Connection, site: Site, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
 ) -> list[Decision]:
-    lapsed = [decision.takes_over for decision in decisions if decision.takes_over]
-    if lapsed:
-        await db.execute(update(upload).where(among(upload.c.id, lapsed)).values(state=UploadState.aborted.value))
     resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
     if resumed:
         await db.execute(update(upload).where(among(upload.c.id, resumed)).values(**renewed(site.settings, func.now())))
@@ -251,17 +266,19 @@ def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
 
 
 def _answer(
+    actor: Actor,
     decision: Decision,
     rows: Mapping[uuid.UUID, Row[Any]],
     parts: Mapping[uuid.UUID, list[HeldPart]],
     reads: Mapping[uuid.UUID, FileRead],
-    request_id: str | None,
 ) -> UploadDecision:
     if decision.error is not None:
-        return Refused(path=decision.wanted.path, problem=to_problem(decision.error, request_id))
+        return Refused(path=decision.wanted.path, problem=to_problem(decision.error, actor.request_id))
     if decision.way in {Way.begin, Way.resume} and decision.ref is not None:
         return Send(upload=read_upload(rows[decision.ref], parts.get(decision.ref, [])))
     read = reads.get(decision.ref) if decision.ref else None
+    if decision.way is Way.present and Scope.read not in actor.scopes:
+        return Present(file=read)
     if read is None:  # also where the file was deleted since: then the answer to asking again is another one
         return HashFirst(path=decision.wanted.path)
     return Present(file=read) if decision.way is Way.present else Linked(file=read)
@@ -305,6 +322,6 @@ async def list_uploads(db: Connection, actor: Actor, *, mission_id: uuid.UUID, p
         Forbidden: they may see it, but put nothing into it.
     """
     await require_mission(db, actor, "list_uploads", mission_id)
-    statement = queries.own_uploads(actor).where(upload.c.mission_id == mission_id, upload.c.state.in_(queries.ACTIVE))
+    statement = queries.own_uploads(actor).where(upload.c.mission_id == mission_id, upload.c.state.in_(UNDER_WAY))
     rows = await fetch_page(db, statement, Order([upload.c.created_at, upload.c.id]), page)
     return Page(items=[read_upload(row, []) for row in rows.items], next=rows.next, total=rows.total)
