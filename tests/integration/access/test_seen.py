@@ -1,0 +1,171 @@
+"""Lists, searches and numbers show each of many exactly what they may see: nothing leaks by a name or by a number."""
+
+import random
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeVar
+
+import pytest
+
+from tests.integration.access import seen
+from tests.integration.access.seen import Eye, File, Lab, Mission
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+
+T = TypeVar("T")
+# In the short round, of one lab, what is asked of each thing is asked of so many of them by each who looks.
+_SEEDS, _SOME = 1, 4
+_ROUND = [pytest.param(seed, marks=[pytest.mark.slow] if seed >= _SEEDS else []) for seed in range(12)]
+
+
+@pytest.fixture(scope="module", params=_ROUND)
+def lab(request: pytest.FixtureRequest, start_api: StartApi) -> Lab:
+    return seen.build(start_api(), request.param)
+
+
+def _looks(lab: Lab) -> Iterable[tuple[Eye, Api]]:
+    return [(eye, lab.api.as_(eye.secret)) for eye in lab.eyes]
+
+
+def _listed(api: Api, path: str, **query: str) -> list[Any]:
+    """Return all that a list shows, two at a time, and see that it counts what it shows."""
+    items = api.all(path, {"limit": "2", **query})
+    if path != "/trash":
+        assert api.get(path, {"limit": "1", "count": "true", **query}).ok()["total"] == len(items)
+    return items
+
+
+def _ids(items: Iterable[Any], key: str = "id") -> list[str]:
+    return sorted(str(item[key]) for item in items)
+
+
+def _some(lab: Lab, eye: Eye, things: Sequence[T]) -> Sequence[T]:
+    return things if lab.seed >= _SEEDS else random.Random(f"{lab.seed} {eye.name}").sample(things, _SOME)
+
+
+def _visible_files(lab: Lab, eye: Eye, missions: Iterable[Mission] | None = None) -> list[File]:
+    found = lab.missions if missions is None else missions
+    return [file for mission in found for file in mission.files if seen.sees_file(eye, file)]
+
+
+def test_projects(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        visible = {project.id: project for project in lab.projects if seen.sees_project(eye, project)}
+        listed = _listed(api, "/projects")
+        assert _ids(listed) == sorted(visible), eye
+        for item in listed:
+            missions = [mission for mission in visible[item["id"]].missions if seen.sees_mission(eye, mission)]
+            files = _visible_files(lab, eye, missions)
+            amounts = (item["mission_count"], item["file_count"], item["size_bytes"])
+            assert amounts == (len(missions), len(files), sum(file.size_bytes for file in files)), eye
+            assert api.get(f"/projects/{item['id']}").ok() == item
+
+
+def test_missions(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        visible = {mission.id: mission for mission in lab.missions if seen.sees_mission(eye, mission)}
+        listed = _listed(api, "/missions")
+        assert _ids(listed) == sorted(visible), eye
+        for item in listed:
+            files = _visible_files(lab, eye, [visible[item["id"]]])
+            amounts = (item["file_count"], item["size_bytes"], item["message_count"])
+            expected = (len(files), sum(file.size_bytes for file in files), sum(file.messages for file in files))
+            assert amounts == expected, eye
+            assert api.get(f"/missions/{item['id']}").ok() == item
+
+
+def test_recordings(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        if not eye.reads:
+            continue
+        for mission in _some(lab, eye, lab.missions):
+            answer = api.get(f"/missions/{mission.id}/recordings")
+            if seen.sees_mission(eye, mission):
+                assert set(_ids(answer.ok()["items"])) == seen.recordings(eye, mission.files), eye
+            else:
+                answer.refused(404, "not_found")
+
+
+def test_files_and_topics(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        if not eye.reads:
+            api.get("/files").refused(403, "scope_missing")
+            continue
+        visible = sorted(file.id for file in _visible_files(lab, eye))
+        assert _ids(_listed(api, "/files")) == visible, eye
+        assert _ids(_listed(api, "/topics"), "file_id") == visible, eye
+
+
+@pytest.mark.parametrize("by", ["project", "mission", "topic", "format"])
+def test_statistics(lab: Lab, by: str) -> None:
+    for eye, api in _looks(lab):
+        if not eye.reads:
+            continue
+        files = _visible_files(lab, eye)
+        stats = api.get("/stats", {"by": by}).ok()
+        total = stats["total"]
+        assert (total["files"], total["size_bytes"]) == (len(files), sum(file.size_bytes for file in files)), eye
+        assert total["missions"] == len({file.mission.id for file in files}), eye
+        assert total["messages"] == sum(file.messages for file in files), eye
+        assert total["recordings"] == len(seen.recordings(eye, lab.files)), eye
+        groups = {
+            "project": {file.mission.project.name for file in files},
+            "mission": {f"{file.mission.project.name}/{file.mission.name}" for file in files},
+        }
+        assert {row["group"] for row in stats["rows"]} == groups.get(by, {row["group"] for row in stats["rows"]})
+
+
+def test_what_is_not_seen_is_not_found(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        for project in _some(lab, eye, lab.projects):
+            found = _found(api, "/projects", name=project.name)
+            assert found == ([project.id] if seen.sees_project(eye, project) else []), eye
+            missions = sorted(mission.id for mission in project.missions if seen.sees_mission(eye, mission))
+            files = sorted(file.id for file in _visible_files(lab, eye, project.missions))
+            for query in ({"project": project.name}, {"project_id": project.id}, {"text": project.name}):
+                assert _found(api, "/missions", **query) == missions, (eye, query)
+                if eye.reads:
+                    assert _found(api, "/files", **query) == files, (eye, query)
+
+
+def _found(api: Api, path: str, **query: str) -> list[str]:
+    return _ids(api.get(path, {"limit": "500", **query}).ok()["items"])
+
+
+def test_each_thing_by_its_id(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        for project in lab.projects:
+            assert api.get(f"/projects/{project.id}").status == (200 if seen.sees_project(eye, project) else 404), eye
+        for file in _some(lab, eye, lab.files) if eye.reads else []:
+            sees = seen.sees_file(eye, file)
+            for path in (f"/files/{file.id}", f"/files/{file.id}/topics"):
+                assert api.get(path).status == (200 if sees else 404), eye
+            listed = file.recording in seen.recordings(eye, lab.files)
+            assert api.get(f"/recordings/{file.recording}").status == (200 if listed else 404), eye
+
+
+def test_the_trash(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        answer = api.get("/trash")
+        if eye.secret is None or eye.is_link or not eye.reads:
+            assert answer.status in {401, 403}
+            continue
+        owned = [place for place in (*lab.projects, *lab.missions) if place.is_gone and seen.level(eye, place) == 4]
+        files = [file for file in lab.files if file.is_gone and seen.level(eye, file.mission) == 4]
+        assert _ids(_listed(api, "/trash")) == sorted(thing.id for thing in (*owned, *files)), eye
+
+
+def test_the_record(lab: Lab) -> None:
+    for eye, api in _looks(lab):
+        if eye.secret is None or eye.is_link or not eye.reads:
+            continue
+        told = {event["project_id"] for event in api.all("/audit", {"limit": "500"})} - {None}
+        assert told == {project.id for project in lab.projects if seen.level(eye, project) == 4}, eye
+
+
+def test_a_page_of_somebody_elses_list_goes_on_with_ones_own(lab: Lab) -> None:
+    """A cursor says where to go on, and not what may be seen there."""
+    admin = next(eye for eye in lab.eyes if eye.is_admin and eye.reach is None)
+    cursor = lab.api.as_(admin.secret).get("/missions", {"limit": "1"}).ok()["next"]
+    for eye, api in _looks(lab):
+        rest = {item["id"] for item in api.get("/missions", {"limit": "500", "cursor": cursor}).ok()["items"]}
+        assert rest <= {mission.id for mission in lab.missions if seen.sees_mission(eye, mission)}, eye
