@@ -3,6 +3,8 @@
 import uuid
 from dataclasses import dataclass
 
+from kleinkram.server.dependencies import session_cookie
+from tests.integration import people
 from tests.integration.auth.browser import Browser
 from tests.integration.running import Api
 
@@ -36,6 +38,15 @@ def account(api: Api, *, name: str = "Ada", email: str | None = None) -> Account
     browser = Browser(api)
     made = browser.post("/auth/invitation", {"code": code_of(link), "name": name, "password": PASSWORD}).ok()
     return Account(made["person"]["id"], name, email, browser)
+
+
+def signed_in(api: Api, name: str = "Ada") -> Account:
+    """Put somebody without a password, signed in behind the server's back: for tests of what comes after."""
+    email = any_email()
+    put = people.person(api, name, email=email)
+    browser = Browser(api)
+    browser.cookies[session_cookie(api.app.state.settings)] = people.session(api, put)
+    return Account(put.id, name, email, browser)
 
 
 def sign_in(browser: Browser, email: str, password: str = PASSWORD) -> None:

@@ -1,0 +1,130 @@
+"""Sessions of browsers: cookies that no script reads, new with every sign-in, over when somebody says so."""
+
+import re
+
+import pytest
+
+from tests.integration import people
+from tests.integration.auth.accounts import PASSWORD, account, sign_in, signed_in
+from tests.integration.auth.browser import Browser
+from tests.integration.conftest import StartApi
+from tests.integration.running import Answer, Api
+
+COOKIE = "kleinkram"
+_SECURE_URL = "https://kleinkram.lab.example"
+
+
+def _signed_in(api: Api) -> tuple[Browser, Answer]:
+    made, browser = account(api), Browser(api)
+    return browser, browser.post("/auth/password", {"email": made.email, "password": PASSWORD})
+
+
+def test_the_cookie_is_for_this_server_alone_and_for_no_script(api: Api) -> None:
+    _, answer = _signed_in(api)
+    attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
+    assert {"httponly", "samesite=lax", "path=/"} <= attributes
+    assert not any(part.startswith(("domain", "secure")) for part in attributes)
+
+
+def test_with_tls_the_cookie_is_secure_and_no_other_host_s(start_api: StartApi) -> None:
+    _, answer = _signed_in(start_api(public_url=_SECURE_URL))
+    name, _, rest = answer.headers["set-cookie"].partition("=")
+    assert name == "__Host-kleinkram"
+    assert "secure" in {part.strip().lower() for part in rest.split(";")}
+
+
+def test_signing_in_again_ends_what_the_browser_was_signed_in_as(api: Api) -> None:
+    ada, ben = account(api), account(api, name="Ben")
+    before = ada.browser.cookies[COOKIE]
+    sign_in(ada.browser, ben.email)
+    assert ada.browser.me()["person"]["id"] == ben.id
+    assert not Browser(api, cookies={COOKIE: before}).is_signed_in()
+
+
+def test_a_session_that_somebody_planted_is_not_the_one_that_is_signed_in(api: Api) -> None:
+    made, browser = account(api), Browser(api, cookies={COOKIE: "planted" * 8})
+    sign_in(browser, made.email)
+    assert browser.is_signed_in()
+    assert not Browser(api, cookies={COOKIE: "planted" * 8}).is_signed_in()
+
+
+def test_signing_out_ends_the_session_and_takes_the_cookie(api: Api) -> None:
+    browser, _ = _signed_in(api)
+    held = dict(browser.cookies)
+    browser.post("/auth/sign-out").ok(204)
+    assert COOKIE not in browser.cookies
+    assert not Browser(api, cookies=held).is_signed_in()
+    Browser(api, cookies=held).post("/auth/sign-out").ok(204)
+
+
+def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> None:
+    made, stranger = account(api), signed_in(api)
+    others = [Browser(api), Browser(api)]
+    for other in others:
+        sign_in(other, made.email)
+    listed = made.browser.get("/api/v1/me/sessions").ok()["items"]
+    assert [each["is_current"] for each in listed] == [False, False, True]
+    foreign = stranger.browser.me()["credential"]["id"]
+    made.browser.call("DELETE", f"/api/v1/me/sessions/{foreign}").refused(404, "not_found")
+    made.browser.call("DELETE", f"/api/v1/me/sessions/{others[0].me()['credential']['id']}").ok(204)
+    assert [each.is_signed_in() for each in (*others, made.browser)] == [False, True, True]
+    made.browser.call("DELETE", "/api/v1/me/sessions").ok(204)
+    assert [each.is_signed_in() for each in (*others, made.browser, stranger.browser)] == [False, False, False, True]
+
+
+def test_a_token_lists_and_ends_browsers_too_unless_it_is_limited_to_less(api: Api) -> None:
+    made = signed_in(api)
+    full = people.token(api, made.id)
+    less = people.token(api, made.id, [people.Scope.write])
+    api.as_(less.secret).get("/me/sessions").refused(403, "scope_missing")
+    api.as_(full.secret).delete("/me/sessions").ok(204)
+    assert not made.browser.is_signed_in()
+
+
+def test_who_was_away_for_too_long_signs_in_again(api: Api) -> None:
+    made = account(api)
+    idle_s = api.app.state.settings.session_idle_s
+    api.sql("UPDATE session SET last_used_at = now() - make_interval(secs => %s) WHERE person_id = %s", idle_s, made.id)
+    made.browser.get("/api/v1/me").refused(401, "not_authenticated")
+    sign_in(made.browser, made.email)
+    assert len(made.browser.get("/api/v1/me/sessions").ok()["items"]) == 1
+
+
+def test_a_session_ends_after_its_time_however_often_it_is_used(api: Api) -> None:
+    made = signed_in(api)
+    api.sql("UPDATE session SET expires_at = now() WHERE person_id = %s", made.id)
+    assert not made.browser.is_signed_in()
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://127.0.0.1:8001", None])
+def test_no_other_site_s_page_changes_anything_or_signs_anybody_in(api: Api, origin: str | None) -> None:
+    made = account(api)
+    foreign = made.browser.from_page_of(origin)
+    foreign.post("/projects", {"name": "planted"}).refused(401, "not_authenticated")
+    foreign.post("/auth/sign-out").refused(401, "not_authenticated")
+    fresh = Browser(api).from_page_of(origin)
+    fresh.post("/auth/password", {"email": made.email, "password": PASSWORD}).refused(401, "not_authenticated")
+    assert fresh.cookies == {}
+    assert made.browser.is_signed_in()
+
+
+def test_what_takes_a_browser_is_refused_to_tokens(api: Api) -> None:
+    token = api.as_(people.person(api).token)
+    token.post("/auth/device/approve", {"user_code": "BCDF-GHJK"}).refused(403, "scope_missing")
+    token.post("/auth/password/change", {"old_password": "x", "new_password": "y" * 12}).refused(403, "scope_missing")
+
+
+def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> None:
+    for page in ("", "/link", "/invitation", "/reset", "/claim", "/device", "/cli", "/account"):
+        answer = Browser(api).get(f"/sign-in{page}")
+        html = answer.ok()
+        policy = answer.headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert "unsafe" not in policy
+        assert "<script>" not in html
+        assert "style=" not in html
+        assert not re.search(r"\son\w+=", html)
+    assert "JSON" in Browser(api).get("/sign-in/static/sign-in.js").ok()
+    Browser(api).get("/sign-in/static/..%2fpages.py").refused(404, "not_found")
+    Browser(api).get("/sign-in/nothing").refused(404, "not_found")
