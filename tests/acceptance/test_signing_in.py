@@ -12,7 +12,9 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 import urllib3
 
-from .conftest import Terminal, end
+from kleinkram.standalone.owner_link import ask_owner_link
+
+from .conftest import Instance, Terminal, end
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,13 @@ def test_browsers_are_listed_and_signed_out(away: Terminal, browser: Browser) ->
     away.run("whoami")  # tokens stay
 
 
-def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal) -> None:
+def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance: Instance) -> None:
     me = terminal.run("whoami", "--json").json()
     assert (me["person"]["name"], me["is_admin"], me["endpoint"]) == ("owner", True, "local")
     assert "klein down" in terminal.run("logout", code=2).err
+    told = instance.told()
+    token = Path(told["token_file"]).read_text().strip()
+    shown = ask_owner_link(told["local_url"], token)  # what a terminal is shown
+    assert shown is not None
+    assert shown.startswith(f"{told['url']}/sign-in/link#")
+    assert ask_owner_link(told["local_url"], "another") is None

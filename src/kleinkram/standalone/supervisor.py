@@ -6,7 +6,6 @@ nothing is interrupted half-way. Light imports only: it stays in memory for as l
 
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from kleinkram.standalone.data_dir import (
     write_private,
 )
 from kleinkram.standalone.errors import PartFailed, StandaloneError
+from kleinkram.standalone.greeting import greeting, invitation
 from kleinkram.standalone.leftovers import end_leftovers
 from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_line, launch
 from kleinkram.standalone.plan import Plan, UpOptions, make_plan
@@ -61,7 +61,7 @@ def run(options: UpOptions) -> None:
         try:
             while True:
                 _start(supervisor, options)
-                print(_greeting(supervisor, options), flush=True)  # noqa: T201  (the command's one line of output)
+                _greet(supervisor, options)
                 lost = supervisor.watch()
                 supervisor.stop()
                 _say_lost(lost)
@@ -330,10 +330,13 @@ def _warn_of_listening(plan: Plan) -> None:
         )
 
 
-def _greeting(supervisor: Supervisor, options: UpOptions) -> str:
+def _greet(supervisor: Supervisor, options: UpOptions) -> None:
+    plan = supervisor.plan
     if options.as_json:
-        return json.dumps(supervisor.told())
-    line = f"Kleinkram answers at {supervisor.plan.public_url} (data in {options.data_dir})"
-    if not options.is_default_data_dir:
-        line += f"; for klein on this machine: export KLEINKRAM_DATA_DIR={shlex.quote(str(options.data_dir))}"
-    return line
+        lines = [json.dumps(supervisor.told())]
+    elif sys.stdout.isatty():
+        lines = [greeting(plan, options), invitation(plan, local_url(plan))]
+    else:
+        lines = [greeting(plan, options)]
+    for line in lines:
+        print(line, flush=True)  # noqa: T201  (the command's output)

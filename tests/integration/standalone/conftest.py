@@ -37,12 +37,12 @@ class Instance:
     listening: Listening
     _processes: list["subprocess.Popen[str]"] = field(default_factory=list)
 
-    def spawn(self, **changes: Any) -> "subprocess.Popen[str]":
+    def spawn(self, *, stdout: int = subprocess.PIPE, **changes: Any) -> "subprocess.Popen[str]":
         """Start a supervisor; does not wait for it."""
         given = {"listening": self.listening, "server": FAKE_SERVER, **changes}
         process = subprocess.Popen(
             arguments(UpOptions(data_dir=self.data_dir, **given)),
-            stdout=subprocess.PIPE,
+            stdout=stdout,
             stderr=subprocess.PIPE,
             text=True,
             cwd="/",

@@ -18,6 +18,14 @@ class _Health(http.server.BaseHTTPRequestHandler):
         self.send_response(200 if self.path in ("/health/live", "/health/ready") else 404)
         self.end_headers()
 
+    def do_POST(self) -> None:
+        """Give the owner's link to who has the owner's token."""
+        token = Path(os.environ["KLEINKRAM_OWNER_TOKEN_FILE"]).read_text().strip()
+        known = self.headers["Authorization"] == f"Bearer {token}" and self.path == "/api/v1/auth/owner-link"
+        self.send_response(200 if known else 403)
+        self.end_headers()
+        self.wfile.write(json.dumps({"url": "http://lab/sign-in/link#good-once"}).encode())
+
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  (the name it has in the base class)
         """Say nothing."""
 

@@ -1,6 +1,7 @@
 """Other machines, ports, TLS. Another address of this machine stands for another machine."""
 
 import http.client
+import os
 import socket
 import ssl
 from dataclasses import replace
@@ -15,6 +16,7 @@ from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import StandaloneError
 from kleinkram.standalone.health import get
 from kleinkram.standalone.leftovers import stop_instance
+from kleinkram.standalone.owner_link import ask_owner_link
 from tests.certificate import make_certificate
 from tests.integration.standalone.conftest import Instance
 
@@ -64,8 +66,26 @@ def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, 
     store.request("GET", "/")
     assert store.getresponse().status == 403
     store.close()
+    token = Path(told["token_file"]).read_text().strip()
+    assert ask_owner_link(told["local_url"], token, certificate=certificate[0]) == "http://lab/sign-in/link#good-once"
+    (certificate[0].parent / "other").mkdir()
+    with pytest.raises(ssl.SSLError):  # the owner's token is for our own server only
+        ask_owner_link(
+            told["local_url"], token, certificate=make_certificate(certificate[0].parent / "other", "127.0.0.1")[0]
+        )
     stop_instance(DataDir(shared_instance.data_dir))
     assert "without TLS" not in process.communicate(timeout=10)[1]
+
+
+def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instance: Instance) -> None:
+    ours, its = os.openpty()
+    process = shared_instance.spawn(stdout=its)
+    os.close(its)
+    with os.fdopen(ours) as terminal:
+        assert "answers at" in terminal.readline()
+        assert "http://lab/sign-in/link#good-once" in terminal.readline()
+        stop_instance(DataDir(shared_instance.data_dir))
+    process.communicate(timeout=10)
 
 
 def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> None:
