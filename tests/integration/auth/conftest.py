@@ -2,6 +2,7 @@
 
 import pytest
 
+from kleinkram.server.audit import refusals
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 
@@ -10,3 +11,8 @@ from tests.integration.running import Api
 def api(start_api: StartApi) -> Api:
     """The package's API; without limits on how often somebody may try."""
     return start_api()
+
+
+@pytest.fixture(autouse=True)
+def _all_refusals_are_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refusals, "PER_MINUTE", 10_000)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from kleinkram.contract.rights import Right
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import USER_AGENT, Browser
@@ -50,7 +51,7 @@ def test_only_admins_invite_and_reset(api: Api) -> None:
 
 def test_an_invited_person_is_in_the_group_of_their_address_and_sees_what_it_was_granted(api: Api) -> None:
     email, project = any_email(), api.project()
-    people.grant(api, people.email_group(api, email), people.Right.read, project_id=project["id"])
+    people.grant(api, people.email_group(api, email), Right.read, project_id=project["id"])
     made = account(api, email=email)
     assert made.browser.get(f"/api/v1/projects/{project['id']}").ok()["name"] == project["name"]
 

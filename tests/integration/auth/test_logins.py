@@ -24,10 +24,11 @@ def _challenge(verifier: str) -> str:
 
 def _approve(browser: Browser, verifier: str, **wanted: Any) -> str:
     asked = {"port": 40123, "state": "a" * 20, "code_challenge": _challenge(verifier), "client": "klein on anymal"}
-    url = urlsplit(browser.post("/auth/cli/approve", {**asked, **wanted}).ok()["url"])
+    url = urlsplit(str(browser.post("/auth/cli/approve", {**asked, **wanted}).ok()["url"]))
     query = parse_qs(url.query)
     assert (url.scheme, url.netloc, url.path, query["state"]) == ("http", "127.0.0.1:40123", "/", ["a" * 20])
-    return query["code"][0]
+    (code,) = query["code"]
+    return code
 
 
 def test_a_program_on_the_same_machine_gets_a_token_once(api: Api, ada: Account) -> None:

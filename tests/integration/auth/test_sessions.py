@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from kleinkram.contract.rights import Scope
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, sign_in, signed_in
 from tests.integration.auth.browser import Browser
@@ -75,7 +76,7 @@ def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> No
 def test_a_token_lists_and_ends_browsers_too_unless_it_is_limited_to_less(api: Api) -> None:
     made = signed_in(api)
     full = people.token(api, made.id)
-    less = people.token(api, made.id, [people.Scope.write])
+    less = people.token(api, made.id, [Scope.write])
     api.as_(less.secret).get("/me/sessions").refused(403, "scope_missing")
     api.as_(full.secret).delete("/me/sessions").ok(204)
     assert not made.browser.is_signed_in()

@@ -1,0 +1,143 @@
+"""A small OpenID provider of our own, for tests that are quick: it signs in whoever it is told to, and errs on demand.
+
+It keeps to the protocol as far as a relying party can tell: codes are good once and bound to their PKCE challenge. The
+real thing is `tests/system/test_oidc.py`.
+"""
+
+import base64
+import hashlib
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlencode, urlsplit
+
+from joserfc import jwt
+from joserfc.jwk import KeySet, RSAKey
+
+CLIENT_ID = "kleinkram"
+CLIENT_SECRET = "a secret with + and % in it"
+
+
+@dataclass
+class FakeProvider:
+    """The provider, and how it behaves from now on. `change` sees an ID token's claims before they are signed."""
+
+    url: str = ""
+    person: dict[str, Any] = field(default_factory=dict)
+    keys: list[RSAKey] = field(default_factory=list)
+    change: Callable[[dict[str, Any]], dict[str, Any]] = field(default=lambda claims: claims)
+    algorithm: str = "RS256"
+    issuer: str | None = None
+    tells_in_userinfo: bool = False
+    error: str | None = None
+    is_dead: set[str] = field(default_factory=set)
+    seen: list[str] = field(default_factory=list)
+    _codes: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def rotate(self, *, keep_old: bool = False) -> None:
+        """Sign with a new key from now on."""
+        made = RSAKey.generate_key(2048, parameters={"kid": secrets.token_hex(4)})
+        self.keys = [made, *(self.keys if keep_old else [])]
+
+    def sign_in_as(self, subject: str, **claims: Any) -> None:
+        """Whoever comes next is this person."""
+        self.person = {"sub": subject, **claims}
+
+    def authorize(self, url: str) -> str:
+        """Do what a browser and a person do at the provider; return where the browser is sent back to."""
+        asked = {name: values[0] for name, values in parse_qs(urlsplit(url).query).items()}
+        assert (asked["client_id"], asked["response_type"], asked["code_challenge_method"]) == (
+            *(CLIENT_ID, "code", "S256"),
+        )
+        assert "openid" in asked["scope"].split()
+        if self.error is not None:
+            return f"{asked['redirect_uri']}?{urlencode({'error': self.error, 'state': asked['state']})}"
+        code = secrets.token_urlsafe(16)
+        self._codes[code] = asked
+        return f"{asked['redirect_uri']}?{urlencode({'code': code, 'state': asked['state'], 'iss': self.url})}"
+
+    def answer(self, path: str, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
+        """Answer a request of the relying party."""
+        self.seen.append(path)
+        if path in self.is_dead:
+            return 503, {"error": "dead"}
+        if path == "/.well-known/openid-configuration":
+            return 200, {
+                "issuer": self.issuer or self.url,
+                **{f"{name}_endpoint": f"{self.url}/{name}" for name in ("authorization", "token", "userinfo")},
+                "jwks_uri": f"{self.url}/jwks",
+            }
+        if path == "/jwks":
+            return 200, KeySet(list(self.keys)).as_dict(private=False)
+        if path == "/userinfo":
+            return 200, self.person
+        return self._token(body, headers)
+
+    def _token(self, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
+        asked = self._codes.pop(body.get("code", ""), None)
+        sent = base64.b64decode(headers["authorization"].removeprefix("Basic ")).decode()
+        assert parse_qs(f"x={sent.partition(':')[2]}")["x"] == [CLIENT_SECRET]
+        digest = hashlib.sha256(body["code_verifier"].encode()).digest()
+        challenge = base64.urlsafe_b64encode(digest).decode().rstrip("=")
+        if asked is None or challenge != asked["code_challenge"] or body["redirect_uri"] != asked["redirect_uri"]:
+            return 400, {"error": "invalid_grant"}
+        now = int(time.time())
+        person = {"sub": self.person["sub"]} if self.tells_in_userinfo else self.person
+        claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": asked["nonce"], **person}
+        key = self.keys[0]
+        header = {"alg": self.algorithm, "kid": key.kid}
+        signed = jwt.encode(header, self.change(claims), key, algorithms=[self.algorithm])
+        return 200, {"access_token": "at", "token_type": "Bearer", "id_token": signed}
+
+    def reset(self) -> None:
+        """Behave well again."""
+        url = self.url
+        self.__dict__.clear()
+        self.__init__(url)  # type: ignore[misc]  # all of it anew, what tests put in the place of methods too
+        self.rotate()
+
+
+@contextmanager
+def running_provider() -> Iterator[FakeProvider]:
+    """Run a provider on this machine."""
+    provider = FakeProvider()
+    provider.rotate()
+
+    class Answering(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self._answer({})
+
+        def do_POST(self) -> None:
+            length = int(self.headers["content-length"])
+            fields = parse_qs(self.rfile.read(length).decode(), keep_blank_values=True)
+            self._answer({name: values[0] for name, values in fields.items()})
+
+        def log_message(self, *_arguments: object) -> None:
+            pass
+
+        def _answer(self, body: dict[str, str]) -> None:
+            headers = {name.lower(): value for name, value in self.headers.items()}
+            status, told = provider.answer(urlsplit(self.path).path, body, headers)
+            data = json.dumps(told).encode()
+            self.send_response(status)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Answering)
+    provider.url = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    try:
+        yield provider
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
