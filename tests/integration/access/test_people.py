@@ -1,0 +1,149 @@
+"""Who knows of whom, and whose addresses."""
+
+import uuid
+
+import pytest
+
+from kleinkram.contract.rights import Right, Scope
+from tests.integration.people import Person, deactivate, email_group, grant, group, join, person, token
+from tests.integration.running import Api
+
+
+@pytest.fixture
+def ada(api: Api) -> Person:
+    """Somebody."""
+    return person(api, email=f"ada-{uuid.uuid4().hex}@lab.example")
+
+
+@pytest.fixture
+def bob(api: Api) -> Person:
+    """Somebody else."""
+    return person(api, email=f"bob-{uuid.uuid4().hex}@lab.example")
+
+
+def knows(api: Api, who: Person, whom: Person) -> bool:
+    """Whether the API tells somebody of somebody, in the one way as in the other."""
+    asked = api.as_(who.token)
+    status = asked.get(f"/people/{whom.id}").status
+    listed = whom.id in [row["id"] for row in asked.all("/people", {"text": whom.name})]
+    counted = asked.get("/people", {"text": whom.name, "count": "true"}).ok()["total"]
+    assert (status, counted) == ((200, 1) if listed else (404, 0))
+    return listed
+
+
+def test_people_without_a_shared_group_or_project_do_not_see_each_other(api: Api, ada: Person, bob: Person) -> None:
+    assert knows(api, ada, ada)
+    assert not knows(api, ada, bob)
+    hers = api.as_(ada.token)
+    project = hers.project()
+    assert not knows(api, bob, ada)
+    grant(api, bob, Right.read, project_id=project["id"])
+    assert knows(api, ada, bob)
+    assert knows(api, bob, ada)
+
+
+def test_a_shared_group_ends_with_the_membership(api: Api, ada: Person, bob: Person) -> None:
+    made = group(api, members=[ada, bob])
+    assert knows(api, ada, bob)
+    join(api, bob, made, expires_s=-1)
+    assert not knows(api, ada, bob)
+    assert not knows(api, bob, ada)
+
+
+def test_a_shared_project_ends_with_the_grant(api: Api, ada: Person, bob: Person) -> None:
+    project = api.as_(ada.token).project()
+    grant(api, bob, Right.write, project_id=project["id"], expires_s=-1)
+    assert not knows(api, ada, bob)
+    assert not knows(api, bob, ada)
+
+
+def test_who_has_a_mission_is_known_to_those_of_the_project_and_not_the_other_way(
+    api: Api, ada: Person, bob: Person
+) -> None:
+    project = api.as_(ada.token).project()
+    mission = api.as_(ada.token).mission(project["id"])
+    grant(api, bob, Right.read, mission_id=mission["id"])
+    assert knows(api, ada, bob)
+    assert not knows(api, bob, ada)  # the project's people are the project's
+    carol = person(api)
+    grant(api, carol, Right.read, mission_id=mission["id"])
+    assert knows(api, bob, carol)
+
+
+def test_an_address_that_was_granted_to_does_not_show_who_has_it(api: Api, ada: Person, bob: Person) -> None:
+    project = api.as_(ada.token).project()
+    address = api.sql("SELECT email FROM person_email WHERE person_id = %s", bob.id)[0][0]
+    grant(api, email_group(api, address), Right.write, project_id=project["id"])
+    assert api.as_(bob.token).get(f"/projects/{project['id']}").ok()["right"] == "WRITE"
+    assert not knows(api, ada, bob)
+    assert knows(api, bob, ada)
+
+
+def test_the_admins_and_the_public_make_no_acquaintance(api: Api, ada: Person, bob: Person) -> None:
+    boss = person(api, admin=True)
+    project = api.as_(ada.token).project()
+    api.sql("UPDATE project SET is_public = true WHERE id = %s", project["id"])
+    api.as_(bob.token).get(f"/projects/{project['id']}").ok()
+    assert not knows(api, bob, ada)
+    assert not knows(api, ada, boss)
+    assert knows(api, boss, ada)
+    quiet = token(api, boss, [Scope.read])
+    api.as_(quiet.secret).get(f"/people/{ada.id}").refused(404, "not_found")
+
+
+def test_addresses_show_to_admins_and_to_editors_of_a_shared_group(api: Api, ada: Person, bob: Person) -> None:
+    made = group(api, members=[ada, bob])
+    (address,) = api.get(f"/people/{bob.id}").ok()["emails"]
+    path, hers = f"/people/{bob.id}", api.as_(ada.token)
+    assert hers.get(path).ok()["emails"] == []
+    assert hers.all("/people", {"text": address}) == []  # nor can it be guessed
+    join(api, ada, made, is_editor=True)
+    assert hers.get(path).ok()["emails"] == [address]
+    assert [row["id"] for row in hers.all("/people", {"text": address.upper()})] == [bob.id]
+    join(api, ada, made, is_editor=True, expires_s=-1)
+    hers.get(path).refused(404, "not_found")
+    assert len(hers.get(f"/people/{ada.id}").ok()["emails"]) == 1
+
+
+def test_an_editor_of_one_group_is_none_of_another(api: Api, ada: Person, bob: Person) -> None:
+    group(api, members=[ada, bob])
+    join(api, ada, group(api), is_editor=True)
+    assert api.as_(ada.token).get(f"/people/{bob.id}").ok()["emails"] == []
+
+
+def test_an_address_that_nobody_verified_shows_to_nobody(api: Api, ada: Person, bob: Person) -> None:
+    api.sql("UPDATE person_email SET verified_at = NULL, verified_by = NULL WHERE person_id = %s", bob.id)
+    assert api.get(f"/people/{bob.id}").ok()["emails"] == []
+
+
+def test_who_left_shows_to_admins_only(api: Api, ada: Person, bob: Person) -> None:
+    group(api, members=[ada, bob])
+    deactivate(api, bob)
+    api.as_(ada.token).get(f"/people/{bob.id}").refused(404, "not_found")
+    assert api.get(f"/people/{bob.id}").ok()["deactivated_at"] is not None
+    assert [row["id"] for row in api.all("/people", {"text": bob.name, "active": "false"})] == [bob.id]
+    assert api.all("/people", {"text": bob.name, "active": "true"}) == []
+
+
+def test_a_limited_token_tells_of_nobody_else_and_of_no_group(api: Api, ada: Person, bob: Person) -> None:
+    made = group(api, members=[ada, bob])
+    project = api.as_(ada.token).project()
+    limited = api.as_(token(api, ada, limits=[project["id"]]).secret)
+    assert [row["id"] for row in limited.all("/people")] == [ada.id]
+    assert limited.all("/groups") == []
+    limited.get(f"/groups/{made}").refused(404, "not_found")
+    limited.post("/projects", {"name": f"x {uuid.uuid4()}"}).refused(403, "forbidden")
+    boss = person(api, admin=True)
+    limited = api.as_(token(api, boss, limits=[project["id"]]).secret)
+    assert [row["id"] for row in limited.all("/people")] == [boss.id]
+
+
+def test_only_admins_make_admins_and_let_people_go(api: Api, ada: Person, bob: Person) -> None:
+    group(api, members=[ada, bob])
+    hers = api.as_(ada.token)
+    for path in ("admin", "deactivate", "reactivate"):
+        hers.post(f"/people/{bob.id}/{path}").refused(403, "forbidden")
+    hers.delete(f"/people/{bob.id}/admin").refused(403, "forbidden")
+    boss = person(api, admin=True)
+    powerless = api.as_(token(api, boss, [Scope.write]).secret)
+    powerless.post(f"/people/{bob.id}/deactivate").refused(403, "scope_missing")
