@@ -25,12 +25,19 @@ class Browser:
     cookie: str
     pool: urllib3.PoolManager
 
+    def sign_in(self, path: str, body: dict[str, Any]) -> str:
+        """Sign in as a page of the server would, and return the cookie."""
+        return str(self._ask(path, body).headers["Set-Cookie"]).partition(";")[0]
+
     def post(self, path: str, body: dict[str, Any]) -> Any:
         """Ask for something as a page of the server would."""
+        return json.loads(self._ask(path, body).data or b"null")
+
+    def _ask(self, path: str, body: dict[str, Any]) -> urllib3.BaseHTTPResponse:
         headers = {"Cookie": self.cookie, "Origin": self.url, "Content-Type": "application/json"}
         answer = self.pool.request("POST", f"{self.url}/api/v1{path}", body=json.dumps(body), headers=headers)
         assert answer.status < 300, (answer.status, answer.data)
-        return json.loads(answer.data or b"null")
+        return answer
 
     def agree_to_login(self, url: str) -> int:
         """Open the page that `klein login` wants opened, agree on it, and go where it sends the browser."""
@@ -46,18 +53,15 @@ def browser(terminal: Terminal) -> Iterator[Browser]:
     link = urlsplit(terminal.run("session", "link").out.strip())
     url = f"{link.scheme}://{link.netloc}"
     with urllib3.PoolManager(retries=False, timeout=20) as pool:
-        headers = {"Origin": url, "Content-Type": "application/json"}
-        body = json.dumps({"code": link.fragment})
-        answer = pool.request("POST", f"{url}/api/v1/auth/link", body=body, headers=headers)
-        assert answer.status == 200, answer.data
-        yield Browser(url, answer.headers["Set-Cookie"].partition(";")[0], pool)
+        stranger = Browser(url, "", pool)
+        yield replace(stranger, cookie=stranger.sign_in("/auth/link", {"code": link.fragment}))
 
 
 @pytest.fixture
-def away(terminal: Terminal, tmp_path: Path) -> Terminal:
+def away(other_terminal: Terminal, tmp_path: Path) -> Terminal:
     """A terminal on another machine: it knows of no server."""
-    environment = {**terminal.environment, "KLEINKRAM_DATA_DIR": str(tmp_path / "none"), "BROWSER": "true"}
-    return replace(terminal, environment=environment)
+    environment = {**other_terminal.environment, "KLEINKRAM_DATA_DIR": str(tmp_path / "none"), "BROWSER": "true"}
+    return replace(other_terminal, environment=environment)
 
 
 def line_with(process: "subprocess.Popen[str]", words: str) -> str:
@@ -215,3 +219,29 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     assert shown is not None
     assert shown.startswith(f"{told['url']}/sign-in/link#")
     assert ask_owner_link(told["local_url"], "another") is None
+
+
+def test_who_is_invited_gets_an_account_and_is_let_in_further(
+    terminal: Terminal, away: Terminal, browser: Browser, project: str
+) -> None:
+    email = f"ben-{uuid.uuid4().hex[:8]}@partner.example"
+    terminal.run("person", "invite", "no-address", code=2)
+    link = urlsplit(terminal.run("person", "invite", email, "--name", "Ben").out.strip())
+    chosen = {"code": link.fragment, "password": uuid.uuid4().hex}
+    ben = replace(browser, cookie=browser.sign_in("/auth/invitation", chosen))
+    log_in(away, ben)
+    assert away.run("whoami", "--json").json()["emails"] == [email]
+
+    assert project in away.run("mission", "create", "walk", "-p", project, code=3).err
+    terminal.run("access", "grant", "READ", "--to", email, "-p", project)
+    away.run("mission", "list", "-p", project)
+    assert "CREATE" in away.run("mission", "create", "walk", "-p", project, code=4).err
+    terminal.run("access", "grant", "CREATE", "--to", email, "-p", project)
+    away.run("mission", "create", "walk", "-p", project)
+    terminal.run("access", "revoke", "--to", email, "-p", project)
+    away.run("mission", "list", "-p", project, code=3)
+
+    again = urlsplit(terminal.run("person", "reset", email).out.strip())
+    replace(ben, cookie=ben.sign_in("/auth/reset", {**chosen, "code": again.fragment}))
+    terminal.run("person", "deactivate", email, "--yes")
+    away.run("whoami", code=4)

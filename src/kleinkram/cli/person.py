@@ -6,7 +6,8 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, Limit, Yes, confirm
-from kleinkram.cli.render import details, escape, note, show_json, show_json_list, table
+from kleinkram.cli.render import details, escape, line, moment, note, show_json, show_json_list, table
+from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.people import PersonRead
 
 app = typer.Typer(
@@ -86,6 +87,34 @@ def reactivate(who: Who, as_json: AsJson = False) -> None:
     with connect() as client:
         changed = client.people.reactivate(client.people.get(who).id)
     _show(changed, as_json)
+
+
+@app.command("invite")
+def invite(
+    email: Annotated[str, typer.Argument(metavar="EMAIL", show_default=False)],
+    name: Annotated[str | None, typer.Option("--name", metavar="NAME", help="What to call them.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print a link by which somebody gets a local account with this address. Nothing is mailed: give it to them."""
+    with connect() as client:
+        made = client.people.invite(email, name=name)
+    _show_link(made, as_json)
+
+
+@app.command("reset")
+def reset(who: Who, as_json: AsJson = False) -> None:
+    """Print a link by which somebody chooses a new password. Nothing is mailed: give it to them."""
+    with connect() as client:
+        made = client.people.reset_password(client.people.get(who).id)
+    _show_link(made, as_json)
+
+
+def _show_link(made: OneTimeLink, as_json: bool) -> None:
+    if as_json:
+        show_json(made)
+        return
+    line(made.url)
+    note(f"Good once, until {moment(made.expires_at)}. Whoever has it can use it.")
 
 
 def _show(person: PersonRead, as_json: bool) -> None:

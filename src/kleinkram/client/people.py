@@ -5,7 +5,9 @@ from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import pages
+from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
+from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
 from kleinkram.contract.names import is_id
 from kleinkram.contract.people import Departure, PersonRead
 
@@ -62,6 +64,21 @@ class People:
     def reactivate(self, person_id: uuid.UUID) -> PersonRead:
         """Let somebody who left sign in again, with the groups and rights they have. For admins."""
         return self._api.send("POST", f"/people/{person_id}/reactivate", PersonRead)
+
+    def invite(self, email: str, *, name: str | None = None) -> OneTimeLink:
+        """Return a link by which somebody gets an account with this address, once; nothing is mailed. For admins.
+
+        Who uses it is taken to have the address: see that it reaches nobody else. An earlier one is good no more.
+
+        Raises:
+            NameTaken: there is an account with it.
+        """
+        wanted = checked(InvitationCreate, "The invitation", email=email, name=name)
+        return self._api.send("POST", "/people/invitations", OneTimeLink, wanted)
+
+    def reset_password(self, person_id: uuid.UUID) -> OneTimeLink:
+        """Return a link by which somebody chooses a new password, once; nothing is mailed. For admins."""
+        return self._api.send("POST", f"/people/{person_id}/reset", OneTimeLink)
 
 
 def _label(person: PersonRead) -> str:
