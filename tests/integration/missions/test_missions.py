@@ -143,6 +143,7 @@ def test_a_deleted_mission_is_gone_with_its_files_and_its_name_is_free(api: Api,
 
 def test_a_list_takes_the_same_number_of_queries_however_long(api: Api, sample: Sample) -> None:
     project = api.project()
+    api.get(f"/projects/{project['id']}").ok()  # so that an admin's look is noted already
     counts = []
     for number in range(3):
         sample.file(api.mission(project["id"])["id"], f"{number}.mcap")

@@ -84,6 +84,7 @@ TOTAL = _row(None, 2, 4, 2, 251, 3, 67)
     ],
 )
 def test_groups(api: Api, project: Any, by: str, rows: list[dict[str, Any]]) -> None:
+    api.get(f"/projects/{project['id']}").ok()  # so that an admin's look is noted already
     with api.statements() as statements:
         stats = api.get("/stats", {"project_id": project["id"], "by": by}).ok()
     assert (stats["by"], stats["rows"], stats["total"]) == (by, rows, TOTAL)

@@ -27,7 +27,7 @@ _ASKED_EVERY_S = 60
 _REMEMBERED = 10_000
 _PEOPLE = frozenset({"list_people", "list_groups", "get_person", "get_group", "list_group_members"})
 _WHERE = ("noun", "noun_id", "noun_name", "project_id", "mission_id")
-_Key = tuple[uuid.UUID | None, str, uuid.UUID | None]
+_Key = tuple[uuid.UUID | None, Named | str, int]
 
 
 class Looks:
@@ -43,10 +43,12 @@ class Looks:
             DatabaseUnavailable: it could not be noted; so it is not shown either.
         """
         operation = admin.operation or ""
-        if not _is_a_look(operation) or not self._is_due((admin.person_id, of.kind if of else operation, of and of.id)):
+        if not _is_a_look(operation):
             return
-        async with database.begin() as db:
-            await db.execute(_unless_noted(admin, _foreign(admin, operation, of)))
+        level = (OPERATIONS[operation].right or Right.read).level
+        if self._is_due((admin.person_id, of or operation, level)):
+            async with database.begin() as db:
+                await db.execute(_unless_noted(admin, _foreign(admin, operation, of, level)))
 
     def _is_due(self, key: _Key) -> bool:
         now = time.monotonic()
@@ -62,11 +64,10 @@ def _is_a_look(operation: str) -> bool:
     return OPERATIONS[operation].on is not On.nothing or operation in _PEOPLE
 
 
-def _foreign(admin: Actor, operation: str, of: Named | None) -> Select[Any]:
+def _foreign(admin: Actor, operation: str, of: Named | None, level: int) -> Select[Any]:
     """Return what an admin is about to see by their power, as the record names it; no row where it takes none."""
     own = admin.without_power()
     need = OPERATIONS[operation]
-    level = (need.right or Right.read).level
     if of is None or need.on is On.server:
         return _everything(operation).where(
             true() if need.on is On.server or operation in _PEOPLE else _other(own, level)

@@ -12,6 +12,8 @@ from kleinkram.server.tables import access_group, file, mission, person, project
 _IN_QUERY = ("project_id", "mission_id")
 # What lies in a mission, and by which name an address speaks of it.
 _INSIDE = {"file_id": file, "recording_id": recording, "upload_id": upload}
+# What is no id is nobody's.
+_NOBODYS = uuid.UUID(int=0)
 _OTHERS = {"person_id": person, "group_id": access_group}
 
 
@@ -27,10 +29,7 @@ def named(path: Mapping[str, object], query: Mapping[str, str]) -> Named | None:
     """Return the one thing that a request's path names, else its filter; None for everything there is."""
     inner_first = [*_INSIDE, "mission_id", "project_id", *_OTHERS]
     given = {name: query[name] for name in _IN_QUERY if name in query} | {name: str(path[name]) for name in path}
-    for kind in inner_first:
-        if kind in given and (found := _parse(given[kind])) is not None:
-            return Named(kind, found)
-    return None
+    return next((Named(kind, _parse(given[kind])) for kind in inner_first if kind in given), None)
 
 
 def whereabouts(of: Named) -> Select[Any]:
@@ -59,8 +58,8 @@ def _row(noun: str, table: Any, *place: Any) -> Select[Any]:  # Any: columns and
     return select(literal(noun).label("noun"), table.c.id.label("noun_id"), table.c.name.label("noun_name"), *place)
 
 
-def _parse(text: str) -> uuid.UUID | None:
+def _parse(text: str) -> uuid.UUID:
     try:
         return uuid.UUID(text)
     except ValueError:
-        return None
+        return _NOBODYS
