@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from random import Random
 
 import lz4.frame
 import pytest
@@ -131,18 +132,9 @@ def mcap_of_writer(compression: Compression, *, payload_bytes: int, count: int) 
     writer = McapWriter(out, compression=compression, chunk_bytes=2**40)
     channel = writer.add_channel("/t", 0, "cdr")
     for number in range(count):
-        writer.add_message(channel, T0 + number, noise(number, payload_bytes), publish_time_ns=T0 + number)
+        writer.add_message(channel, T0 + number, Random(number).randbytes(payload_bytes), publish_time_ns=T0 + number)
     writer.finish()
     return out.getvalue()
-
-
-def noise(number: int, length: int) -> bytes:
-    """Return bytes that do not compress."""
-    state, out = number * 2654435761 + 1, bytearray()
-    while len(out) < length:
-        state = (state * 6364136223846793005 + 1442695040888963407) % 2**64
-        out += struct.pack("<Q", state)
-    return bytes(out[:length])
 
 
 @pytest.mark.parametrize("to_the_end", [True, False])
@@ -161,6 +153,44 @@ def test_the_beginning_of_a_chunk_with_a_tail_of_zeros(compression: Compression,
     assert 0.3 * len(whole) < summary.lost.bytes < 0.7 * len(whole)
     assert summary.lost == Lost(summary.lost.bytes, 1, None if to_the_end else 1_000 - summary.message_count)
     assert f"{summary.message_count} messages were saved" in (summary.reason or "")
+
+
+@pytest.mark.parametrize("to_the_end", [True, False])
+@pytest.mark.parametrize("compression", [BagCompression.lz4, BagCompression.bz2])
+def test_the_beginning_of_a_chunk_of_a_bag_with_a_tail_of_zeros(
+    compression: BagCompression, to_the_end: bool, tmp_path: Path
+) -> None:
+    """bz2 comes in blocks of 900 kB: those before the zeros are saved."""
+    whole, start, end = bag_of_one_chunk(compression, payload_bytes=4_000, count=1_000)
+    at = start + (end - start) * 6 // 10
+    data = whole[:at] + bytes(len(whole) - at if to_the_end else end - at) + (b"" if to_the_end else whole[end:])
+    path = tmp_path / "a.bag"
+    path.write_bytes(data)
+    summary = scan(from_source(MemorySource(data, "a.bag")))
+    assert summary.content is Content.recovered
+    assert summary.message_count is not None
+    assert summary.lost is not None
+    assert 400 < summary.message_count < 650
+    assert 0.3 * len(whole) < summary.lost.bytes < 0.7 * len(whole)
+    assert summary.lost == Lost(summary.lost.bytes, 1, None if to_the_end else 1_000 - summary.message_count)
+    assert f"{summary.message_count} messages were saved" in (summary.reason or "")
+    with Recording.open(path) as recording:
+        assert len(list(recording.raw_messages())) == summary.message_count
+
+
+def bag_of_one_chunk(compression: BagCompression, *, payload_bytes: int, count: int) -> tuple[bytes, int, int]:
+    """Return a bag, and where its chunk begins and ends."""
+    out = BytesIO()
+    writer = BagWriter(out, compression=compression, chunk_bytes=2 * payload_bytes * count)
+    connection = writer.add_connection("/t", "a/B", md5sum="*", definition="")
+    start = out.tell()
+    for number in range(count):
+        writer.add_message(connection, T0 + number, Random(number).randbytes(payload_bytes))
+    writer.finish()
+    data = out.getvalue()
+    (head_bytes,) = struct.unpack_from("<I", data, start)
+    (data_bytes,) = struct.unpack_from("<I", data, start + 4 + head_bytes)
+    return data, start, start + 8 + head_bytes + data_bytes
 
 
 def test_what_is_read_is_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

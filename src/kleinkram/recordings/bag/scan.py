@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import contents, records
+from kleinkram.recordings.bag.claims import Claims
 from kleinkram.recordings.bag.contents import BagFacts, BagListener, Record, find_record, parse_record, read_contents
 from kleinkram.recordings.bag.large_chunks import read_large_beginning, read_large_chunk
 from kleinkram.recordings.decompress import decompress, decompress_beginning, without_zero_tail
@@ -55,9 +56,7 @@ class _Scanner:
         self.scan.facts.listener = listener
         self._stream = Lookahead(forward, with_crc=False)
         self._chunk: ListedChunk | None = None
-        self._connections_claimed = self._chunks_claimed = 0
-        self._infos = 0
-        self._info_messages = 0
+        self._claims = Claims()
 
     def run(self) -> BagScan:
         scan, stream = self.scan, self._stream
@@ -70,27 +69,13 @@ class _Scanner:
         if nameless:
             scan.losses.note(Malformed("connections", f"{nameless} messages are of connections that are not defined"))
             scan.losses.messages += nameless
-        self._check_index()
+        if scan.refused is None:
+            size, connections = stream.size_bytes, len(scan.facts.connections)
+            claims = self._claims
+            scan.listed = claims.settle(scan.losses, connections=connections, chunks=scan.chunks, size_bytes=size)
+        scan.losses.messages_are_known &= scan.refused is None
+        scan.index_start = self._claims.index_start
         return scan
-
-    def _check_index(self) -> None:
-        """Compare what the bag's header announces with what came."""
-        scan, size = self.scan, self._stream.size_bytes
-        if not scan.index_start or scan.refused is not None:
-            scan.losses.messages_are_known = False
-            return
-        if self._infos >= self._chunks_claimed:
-            scan.listed = self._info_messages if self._infos else None
-        if self._infos < self._chunks_claimed or len(scan.facts.connections) < self._connections_claimed:
-            message = "the file is cut within its index"
-            if scan.index_start >= size:
-                message = f"the file is cut: its index should begin at byte {scan.index_start}, where it has ended"
-            scan.losses.note(Malformed(f"byte {size}", message))
-            scan.losses.messages_are_known = False
-        elif self._infos > scan.chunks + scan.losses.chunks:
-            missing = self._infos - scan.chunks - scan.losses.chunks
-            scan.losses.note(Malformed("index", f"it lists {missing} chunks more than the file holds"))
-            scan.losses.chunks += missing
 
     def _step(self) -> None:
         """Pass over one record at the top level, or over damage."""
@@ -165,10 +150,7 @@ class _Scanner:
     def _note_header(self, record: Record, where: str) -> None:
         if record.fields.text("encryptor", ""):
             self.scan.refused = Malformed(where, "the bag is encrypted", certain=False)
-        if self.scan.index_start is None:
-            self.scan.index_start = record.fields.u64("index_pos")
-            self._connections_claimed = record.fields.u32("conn_count")
-            self._chunks_claimed = record.fields.u32("chunk_count")
+        self._claims.note_header(record.fields)
         if record.data_bytes > _LOOK:
             raise Malformed(where, f"a bag header of {record.data_bytes} bytes")
         self._stream.ahead(record.end - record.start)
@@ -190,9 +172,7 @@ class _Scanner:
             contents.define(record, data, self.scan.facts, where)
             self.scan.losses.vain_bytes -= record.data_bytes
             return
-        info = records.read_chunk_info(record.fields, data, where)
-        self._infos += 1
-        self._info_messages += info.messages
+        self._claims.note_chunk_info(record.fields, data, where)
 
     def _pass_chunk(self, record: Record) -> None:
         stream, scan = self._stream, self.scan

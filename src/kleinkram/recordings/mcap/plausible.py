@@ -25,6 +25,7 @@ _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
 _FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
+_ONE_BIT_AWAY = (records.HEADER, records.CHANNEL, records.METADATA_INDEX)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
@@ -42,11 +43,7 @@ def record_end(data: Buffer, at: int, left: int) -> int | None:
     body = at + RECORD_HEAD.size
     if opcode not in _NEEDED or RECORD_HEAD.size + length > left:
         return None
-    try:
-        needed = _NEEDED[opcode](data, body, length)
-    except struct.error:
-        return None
-    return body + length if needed == length else None
+    return body + length if _needs(opcode, data, body, length) == length else None
 
 
 def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
@@ -62,19 +59,39 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     we do, or by another of a private kind.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
-    check = _NEEDED.get(opcode)
-    if opcode == 0 or (check is None and not _is_unknown_kind(data, at, length, left)):
+    is_known = opcode in _NEEDED
+    if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return "only zeros or rubbish where a record should begin"
-    if check is None or opcode == records.MESSAGE:
+    if not is_known or opcode == records.MESSAGE:
         return None
-    try:
-        needed = check(data, at + RECORD_HEAD.size, length)
-    except struct.error:
-        needed = None
+    needed = _needs(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     return None
+
+
+def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
+    """Say whether what claims to be a message has the lengths of a record whose opcode is one bit away from that.
+
+    `left`: bytes from `at` to the end of the file. `behind_chunk`: where message indexes stand; a message elsewhere may
+    look like one by chance.
+    """
+    if left < RECORD_HEAD.size:
+        return False
+    opcode, length = RECORD_HEAD.unpack_from(data, at)
+    if opcode != records.MESSAGE or length > left - RECORD_HEAD.size:
+        return False
+    kinds = (*_ONE_BIT_AWAY, records.MESSAGE_INDEX) if behind_chunk else _ONE_BIT_AWAY
+    return any(_needs(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
+
+
+def _needs(opcode: int, data: Buffer, body: int, length: int) -> int | None:
+    """Return how many bytes a record of a kind has, as its lengths say; None: they make no sense."""
+    try:
+        return _NEEDED[opcode](data, body, length)
+    except struct.error:
+        return None
 
 
 def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:

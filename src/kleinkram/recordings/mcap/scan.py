@@ -15,20 +15,18 @@ from kleinkram.recordings.decompress import without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
-from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
+from kleinkram.recordings.listening import CHUNK, CUT, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.mcap import chunks, plausible, records
 from kleinkram.recordings.mcap.large_chunks import read_large_beginning, read_large_chunk
+from kleinkram.recordings.mcap.loose import LooseMessages
 from kleinkram.recordings.mcap.plausible import LOOK, fault, holds_chunk, stands_outside_chunks
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.mcap.searching import find_inner, pass_damage
 from kleinkram.recordings.mcap.sections import Sections
-from kleinkram.recordings.mcap.walking import walk_messages
 from kleinkram.recordings.stream import Cut, Lookahead
-from kleinkram.recordings.tally import ROW, Batch, Tally
+from kleinkram.recordings.tally import Batch, Tally
 
-_FLUSH_BYTES = 8 * 2**20
-_U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
 _READERS = {
@@ -62,8 +60,7 @@ class _Scanner:
         self.scan = Scan()
         self.scan.facts.listener = listener
         self._stream = Lookahead(forward)
-        self._loose = Batch(self.scan.facts.channels)
-        self._loose_bytes = 0
+        self._loose = LooseMessages(self._stream, self.scan.facts, self.scan.tally)
         self._listed: ListedChunk | None = None
         self._sections = Sections(self._stream, self.scan.facts, self.scan.losses)
 
@@ -72,7 +69,7 @@ class _Scanner:
         stream.advance(min(len(records.MAGIC), stream.left))
         while stream.left:
             self._step()
-        self._flush_loose()
+        self._loose.flush()
         self._end_chunk()
         nameless = scan.tally.finish()
         if nameless:
@@ -93,15 +90,11 @@ class _Scanner:
         """Pass over some messages, over one other record, or over damage."""
         stream = self._stream
         stream.ahead(LOOK)
-        after, last = walk_messages(stream.window, stream.at, len(stream.window), self._loose)
-        if after > stream.at:
-            is_alone = self._listed is not None and last == stream.at and after < len(stream.window)
-            if is_alone and stream.window[after] == records.MESSAGE_INDEX:
-                self._forget_message(last)
+        if self._is_disguised():
+            return
+        if last_bytes := self._loose.walk():
             self._end_chunk()
-            self._tell_loose(after - stream.at)
-            self._pass_loose(last - stream.at)
-            self._pass(after - last)
+            self._pass(last_bytes)
             return
         where = f"byte {stream.position}"
         if stream.left < RECORD_HEAD.size:
@@ -120,12 +113,16 @@ class _Scanner:
         except Malformed as error:
             self._resync(error)
 
-    def _forget_message(self, at: int) -> None:
-        """Take back the message at a place: it stands among the message indexes of a chunk, so it is none."""
-        stream = self._stream
-        (channel_id,) = _U16.unpack_from(stream.window, at + RECORD_HEAD.size)
-        del self._loose[channel_id][-ROW:]
-        self.scan.losses.note(Malformed(f"byte {stream.position + at - stream.at}", "a message where none can stand"))
+    def _is_disguised(self) -> bool:
+        """Pass over a record of another kind that claims to be a message, if one stands here."""
+        stream, losses = self._stream, self.scan.losses
+        if not plausible.is_disguised(stream.window, stream.at, stream.left, behind_chunk=self._listed is not None):
+            return False
+        _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
+        losses.note(Malformed(f"byte {stream.position}", "a record of another kind that claims to be a message"))
+        losses.bytes += RECORD_HEAD.size + length
+        stream.advance(RECORD_HEAD.size + length)
+        return True
 
     def _check(self, opcode: int, length: int, where: str) -> None:
         stream = self._stream
@@ -159,10 +156,7 @@ class _Scanner:
         elif opcode == records.DATA_END:
             self._sections.pass_data_end(total, where)
         elif opcode == records.MESSAGE:
-            channel_id, row = chunks.read_large_message(stream)
-            self._loose[channel_id].extend(row)
-            self._tell_loose(total)
-            self._pass_loose(0)
+            self._loose.take_large(total)
             self._pass(total)
         else:
             if opcode in _READERS:
@@ -317,24 +311,6 @@ class _Scanner:
                 self.scan.facts.statistics = None  # bytes of it are missing
             self.scan.losses.vain_bytes += total if total > LOOK else 0
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
-
-    def _pass_loose(self, length: int) -> None:
-        """Pass over messages outside of chunks that are in the batch already."""
-        self._stream.advance(length)
-        self._loose_bytes += length
-        if self._loose_bytes > _FLUSH_BYTES:
-            self._flush_loose()
-
-    def _tell_loose(self, length: int) -> None:
-        """Tell the listener of the messages outside of chunks that stand in the next bytes, as many as are given."""
-        if self.scan.facts.listener is not None:
-            chunks.tell(self.scan.facts, Place(RECORDS, self._stream.position, length, length), self._loose)
-            self._flush_loose()  # what the batch holds next stands somewhere else
-
-    def _flush_loose(self) -> None:
-        self.scan.tally.learn(self.scan.facts.channels)
-        self.scan.tally.add(self._loose)
-        self._loose, self._loose_bytes = Batch(self.scan.facts.channels), 0
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
         """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""

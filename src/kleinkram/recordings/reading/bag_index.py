@@ -82,10 +82,10 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> li
     """Read connections and chunk infos; return start, first and last time, and set of channels of each chunk."""
     found: list[tuple[int, int, int, int]] = []
     for record in walk(stream):
-        if left == 0:
-            break
         left -= 1
         where = f"byte {record.start}"
+        if left < 0:
+            raise Malformed(where, "the index goes on behind what the bag's header says")
         if record.opcode == records.CONNECTION:
             index.define(record.fields, stream.take(record.data_bytes), where)
         elif record.opcode == records.CHUNK_INFO:

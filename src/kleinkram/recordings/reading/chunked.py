@@ -21,7 +21,7 @@ from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.reading.salvaging import Salvage
+from kleinkram.recordings.reading.salvaging import Gap, Salvage, end_of_chunk, unlisted
 from kleinkram.recordings.reading.unpacking import limited
 from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_copy
 from kleinkram.recordings.sources import FileSource, Source
@@ -54,7 +54,7 @@ class ChunkFormat:
         open_chunk: reads a chunk's record up to its stored bytes.
         parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
         table_of_records: where messages stand in the content of a chunk that is too large to hold.
-        salvage: where messages stand in a chunk that is damaged.
+        salvage: where messages stand in parts of a file, such as a chunk that is damaged.
     """
 
     open_chunk: Callable[[ForwardStream], ChunkHead]
@@ -112,6 +112,7 @@ class _Reader:
         self._wanted = wanted
         self._selection = selection
         self._salvage_left = MAX_SALVAGED
+        self._searched = False
 
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
@@ -197,19 +198,31 @@ class _Reader:
             return []  # it was whole when it was read before: the file changes meanwhile
 
     def _salvaged(self, row: Row, damage: Malformed) -> Run:
-        """Read what a scan finds in a damaged chunk."""
+        """Read what a scan finds in a damaged chunk, or instead of one that does not stand where the index says."""
         file = self._file
-        if file.is_part or row.kind == RECORDS or self._salvage_left < row.end - row.start:
+        gaps: Iterable[Gap] = []
+        if not file.is_part and row.kind != RECORDS:
+            is_there = row.kind == CUT or end_of_chunk(file.source, row, file.format.open_chunk) is not None
+            gaps = [Gap(row.start, row.end)] if is_there else self._unlisted()
+        size = sum(gap.end - gap.start for gap in gaps)
+        saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
+        if saved is None or not saved.table.rows:
             self._note(row, damage)
             return Run([], 0)
-        self._salvage_left -= row.end - row.start
-        saved = file.format.salvage(file.source, row, file.channels)
-        if not saved.table.rows:
-            self._note(row, damage)
-            return Run([], 0)
+        self._salvage_left -= size
         self._note_part(row, damage)
         inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.noticed, is_part=True)
         return Run([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
+
+    def _unlisted(self) -> Iterable[Gap]:
+        """Return where chunks may stand that the index lists somewhere else; at the second time nothing."""
+        if self._searched:
+            return []
+        self._searched = True
+        file = self._file
+        message = "its index lists chunks where none stands: what stands between the others is read instead"
+        file.noticed.add("index-damaged", file.source.name, message)
+        return unlisted(file.source, file.table.rows, file.format.open_chunk)
 
     def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
         for block in blocks:

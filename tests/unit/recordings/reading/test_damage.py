@@ -49,6 +49,7 @@ def damaged(name: str, how: str, place: float, length: int) -> bytes:
 @example("none.mcap", "zeros", 0.7773971822959025, 1684)  # what is left of one chunk is searched among zeros
 @example("none.bag", "bit", 0.5827126780061346, 1065)  # a message's time becomes earlier than its chunk's
 @example("bz2.bag", "bit", 0.5477902743388547, 3386)  # a chunk that only the index can find
+@example("bz2.bag", "zeros", 0.9625780948983345, 1)  # the index lists a chunk where none stands
 @settings(max_examples=250, deadline=None)
 def test_what_a_scan_counts_is_read(name: str, how: str, place: float, length: int) -> None:
     assert_all_read(damaged(name, how, place, length), name)
