@@ -15,7 +15,7 @@ from tests.integration.sample import Sample
 from tests.stack import RunningPostgres, RunningStore
 
 StartApi = Callable[..., Api]
-_LIMITS = [f"{what}_per_minute" for what in ("searches", "downloads", "uploads", "proofs", "exports")]
+_LIMITS = [f"{what}_per_minute" for what in ("sign_ins", "searches", "downloads", "uploads", "proofs", "exports")]
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ from kleinkram.server.auth.providers import Providers
 from kleinkram.server.auth.sessions import begin_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings
+from kleinkram.server.rates import Count, limit, neighbourhood
 from kleinkram.server.settings import Settings
 
 
@@ -40,6 +41,17 @@ class Door:
         """The process's providers of identities."""
         providers: Providers = self.request.app.state.providers
         return providers
+
+    async def count_try(self, account: str | None = None) -> None:
+        """Count a try to sign in: for the address that it comes from, and for the account, whether there is one or not.
+
+        Raises:
+            RateLimited: there were too many within a minute.
+        """
+        most = self.settings.sign_ins_per_minute
+        whose = [account.lower()] if account else []
+        where = [neighbourhood(self.asker.address)] if self.asker.address else []
+        await limit(self.database, *(Count("sign-ins", who, most) for who in (*whose, *where)))
 
     async def hash(self, password: str, *, code: str) -> str:
         """Hash a new password, which takes a good code; that stays good.

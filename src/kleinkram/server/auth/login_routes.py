@@ -26,6 +26,7 @@ from kleinkram.contract.signing_in import (
     SignedIn,
 )
 from kleinkram.server.auth import local, logins, me, sessions
+from kleinkram.server.auth.door import CurrentDoor
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
 
@@ -50,19 +51,19 @@ async def approve_cli_login(wanted: LoopbackApproval, db: Transaction, actor: Cu
 
 
 @login_router.post("/cli/token", operation_id="exchange_cli_code")
-async def exchange_cli_code(
-    brought: CliExchange, db: Transaction, actor: CurrentActor, settings: CurrentSettings
-) -> SignedIn:
+async def exchange_cli_code(brought: CliExchange, door: CurrentDoor) -> SignedIn:
     """Exchange what the browser brought to the loopback for a token."""
-    return await logins.exchange_loopback(db, actor, brought=brought, settings=settings)
+    await door.count_try()
+    async with door.database.begin() as db:
+        return await logins.exchange_loopback(db, door.asker, brought=brought, settings=door.settings)
 
 
 @login_router.post("/device", operation_id="begin_device_login")
-async def begin_device_login(
-    wanted: DeviceBegin, db: Transaction, actor: CurrentActor, settings: CurrentSettings
-) -> DeviceCode:
+async def begin_device_login(wanted: DeviceBegin, door: CurrentDoor) -> DeviceCode:
     """Begin a login by a code that is typed on another machine."""
-    return await logins.begin_device(db, actor, client=wanted.client, settings=settings)
+    await door.count_try()
+    async with door.database.begin() as db:
+        return await logins.begin_device(db, door.asker, client=wanted.client, settings=door.settings)
 
 
 @login_router.post("/device/token", operation_id="exchange_device_code")
@@ -74,21 +75,27 @@ async def exchange_device_code(
 
 
 @login_router.post("/device/look", operation_id="look_at_device_login")
-async def look_at_device_login(shown: DeviceDecision, db: Transaction) -> DeviceRead:
+async def look_at_device_login(shown: DeviceDecision, door: CurrentDoor) -> DeviceRead:
     """Say who shows a code."""
-    return await logins.look_at_device(db, shown.user_code)
+    await door.count_try(str(door.asker.person_id))
+    async with door.database.begin() as db:
+        return await logins.look_at_device(db, shown.user_code)
 
 
 @login_router.post("/device/approve", operation_id="approve_device_login")
-async def approve_device_login(shown: DeviceDecision, db: Transaction, actor: CurrentActor) -> DeviceRead:
+async def approve_device_login(shown: DeviceDecision, door: CurrentDoor) -> DeviceRead:
     """Agree that the program that shows a code gets a token."""
-    return await logins.approve_device(db, actor, shown.user_code)
+    await door.count_try(str(door.asker.person_id))
+    async with door.database.begin() as db:
+        return await logins.approve_device(db, door.asker, shown.user_code)
 
 
 @login_router.post("/device/deny", operation_id="deny_device_login")
-async def deny_device_login(shown: DeviceDecision, db: Transaction, actor: CurrentActor) -> DeviceRead:
+async def deny_device_login(shown: DeviceDecision, door: CurrentDoor) -> DeviceRead:
     """Disagree."""
-    return await logins.deny_device(db, actor, shown.user_code)
+    await door.count_try(str(door.asker.person_id))
+    async with door.database.begin() as db:
+        return await logins.deny_device(db, door.asker, shown.user_code)
 
 
 @me_router.get("", operation_id="get_me")

@@ -41,6 +41,7 @@ async def list_sign_in_ways(db: Transaction, settings: CurrentSettings) -> SignI
 async def sign_in_by_password(given: PasswordSignIn, door: CurrentDoor, response: Response) -> BrowserSignedIn:
     """Sign a browser in with a local account."""
     door.see_that_passwords_are_taken()
+    await door.count_try(given.email)
     proven = await local.prove_password(door.database, door.passwords, given)
     async with door.database.begin() as db:
         await local.see_that_it_still_is(db, proven)
@@ -51,6 +52,7 @@ async def sign_in_by_password(given: PasswordSignIn, door: CurrentDoor, response
 async def change_password(wanted: PasswordChange, door: CurrentDoor) -> None:
     """Choose a new password; one's other browsers are signed out."""
     door.see_that_passwords_are_taken()
+    await door.count_try(str(door.asker.person_id))
     proven = await local.prove_own_password(door.database, door.passwords, door.asker, wanted.old_password)
     hashed = await door.passwords.hash(wanted.new_password)
     async with door.database.begin() as db:
@@ -65,15 +67,18 @@ async def sign_in_by_link(given: CodeSignIn, door: CurrentDoor, response: Respon
 
 
 @router.post("/codes", operation_id="look_at_code")
-async def look_at_code(given: CodeSignIn, db: Transaction) -> CodeRead:
+async def look_at_code(given: CodeSignIn, door: CurrentDoor) -> CodeRead:
     """Say for whom a link is; it stays good."""
-    return await codes.look_at_code(db, given.code)
+    await door.count_try()
+    async with door.database.begin() as db:
+        return await codes.look_at_code(db, given.code)
 
 
 @router.post("/invitation", operation_id="accept_invitation", dependencies=_FROM_OUR_PAGE)
 async def accept_invitation(accepted: InvitationAccept, door: CurrentDoor, response: Response) -> BrowserSignedIn:
     """Get the account that one is invited to, and sign in."""
     door.see_that_passwords_are_taken()
+    await door.count_try()
     hashed = await door.hash(accepted.password, code=accepted.code)
     async with door.database.begin() as db:
         person_id = await local.accept_invitation(db, door.asker, accepted=accepted, hashed=hashed)
@@ -84,6 +89,7 @@ async def accept_invitation(accepted: InvitationAccept, door: CurrentDoor, respo
 async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Response) -> BrowserSignedIn:
     """Choose a new password by an admin's link; all other browsers are signed out."""
     door.see_that_passwords_are_taken()
+    await door.count_try()
     hashed = await door.hash(reset.password, code=reset.code)
     async with door.database.begin() as db:
         person_id = await local.reset_password(db, door.asker, reset=reset, hashed=hashed)
@@ -93,6 +99,7 @@ async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Resp
 @router.post("/claim", operation_id="claim_server", dependencies=_FROM_OUR_PAGE)
 async def claim_server(claimed: Claim, door: CurrentDoor, response: Response) -> BrowserSignedIn:
     """Become the first admin of a fresh server, by the code from its log."""
+    await door.count_try()
     hashed = None if claimed.password is None else await door.hash(claimed.password, code=claimed.code)
     async with door.database.begin() as db:
         person_id = await claiming.claim(db, door.asker, claimed=claimed, hashed=hashed)
@@ -129,6 +136,7 @@ async def sign_out(response: Response, db: Transaction, actor: CurrentActor, set
 
 
 async def _begin(door: Door, response: Response, *, provider: str, journey: journeys.Journey) -> ProviderBegun:
+    await door.count_try()
     url = await door.providers.get(provider).authorization_url(journey.challenge)
     browser = bind_browser(door.request, response, door.settings)
     async with door.database.begin() as db:

@@ -1,0 +1,135 @@
+"""The first admin of a fresh server, and the owner's link: who can read what the server wrote, and nobody else."""
+
+import logging
+import re
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+
+from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.auth.claiming import offer_claim
+from kleinkram.server.site import Site
+from tests.integration import people
+from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in
+from tests.integration.auth.browser import Browser
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.running import Api
+
+
+@pytest.fixture(name="server", scope="module")
+def _server(start_api: StartApi) -> Api:
+    return start_api()
+
+
+@pytest.fixture(name="fresh")
+def _fresh(server: Api) -> Api:
+    """A server of which nobody is admin."""
+    server.sql("DELETE FROM membership WHERE group_id = %s", ADMINS_ID)
+    server.sql("DELETE FROM one_time_code")
+    return server
+
+
+async def _start(site: Site) -> None:
+    async with site.database.begin() as db:
+        await offer_claim(db)
+
+
+def _code(api: Api, caplog: pytest.LogCaptureFixture) -> str:
+    """Start the server as far as this goes, and read its log."""
+    with caplog.at_level(logging.WARNING, logger="kleinkram.auth"):
+        on_site(api, _start)
+    found = re.findall(r"claim code: (\S+)", caplog.text)
+    assert found
+    return str(found[-1])
+
+
+def _claim(code: str, **more: Any) -> dict[str, Any]:
+    return {"code": code, "name": "Ada", "email": any_email(), "password": PASSWORD, **more}
+
+
+def test_whoever_reads_the_log_becomes_admin_and_nobody_after_them(
+    fresh: Api, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert Browser(fresh).get("/api/v1/auth/ways").ok()["claim"] is True
+    earlier, code = _code(fresh, caplog), _code(fresh, caplog)
+    assert fresh.sql("SELECT 1 FROM one_time_code WHERE encode(secret_sha256, 'escape') = %s", code) == []
+    ada = Browser(fresh)
+    ada.post("/auth/claim", _claim(code)).ok()
+    assert ada.me()["is_admin"] is True
+    for used in (earlier, code):
+        Browser(fresh).post("/auth/claim", _claim(used)).refused(410, "code_gone")
+    assert Browser(fresh).get("/api/v1/auth/ways").ok()["claim"] is False
+    event = ada.get("/api/v1/audit?operation=server.claim").ok()["items"][0]
+    assert event["noun_id"] == ada.me()["person"]["id"]
+
+
+def test_nobody_claims_from_the_network(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+    _code(fresh, caplog)
+    Browser(fresh).post("/auth/claim", _claim("x" * 43)).refused(410, "code_gone")
+    assert fresh.sql("SELECT count(*) FROM membership WHERE group_id = %s", ADMINS_ID) == [(0,)]
+
+
+def test_of_two_who_claim_at_once_one_is_admin(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+    codes = [_code(fresh, caplog), _code(fresh, caplog)]
+    with ThreadPoolExecutor(2) as pool:
+        calls = [pool.submit(Browser(fresh).post, "/auth/claim", _claim(code)) for code in codes]
+    assert sorted(call.result().status for call in calls) == [200, 410]
+    assert fresh.sql("SELECT count(*) FROM membership WHERE group_id = %s", ADMINS_ID) == [(1,)]
+
+
+def test_who_is_signed_in_claims_with_the_code_alone(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+    ben = signed_in(fresh, "Ben")
+    ben.browser.post("/auth/claim", {"code": _code(fresh, caplog)}).ok()
+    me = ben.browser.me()
+    assert (me["person"]["id"], me["is_admin"]) == (ben.id, True)
+
+
+def test_a_claim_that_fails_leaves_the_code_good(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+    code = _code(fresh, caplog)
+    problem = Browser(fresh).post("/auth/claim", {"code": code}).refused(422, "invalid_request")
+    assert {each["field"] for each in problem["problems"]} == {"name", "email", "password"}
+    Browser(fresh).post("/auth/claim", _claim(code, password="short")).refused(422, "invalid_request")
+    Browser(fresh).post("/auth/claim", _claim(code)).ok()
+
+
+def test_a_server_with_an_admin_writes_no_code(api: Api, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="kleinkram.auth"):
+        on_site(api, _start)
+    assert "claim code" not in caplog.text
+
+
+def test_the_owner_s_link_signs_a_browser_in_once(api: Api) -> None:
+    link = api.post("/auth/owner-link").ok()["url"]
+    browser = Browser(api)
+    assert link.startswith(f"{browser.public_url}/sign-in/link#")
+    browser.post("/auth/link", {"code": code_of(link)}).ok()
+    me = browser.me()
+    assert (me["person"]["name"], me["is_admin"], me["credential"]["name"]) == ("owner", True, "link")
+    Browser(api).post("/auth/link", {"code": code_of(link)}).refused(410, "code_gone")
+
+
+def test_a_newer_link_and_time_end_a_link(api: Api) -> None:
+    older, newer = (code_of(api.post("/auth/owner-link").ok()["url"]) for _ in range(2))
+    Browser(api).post("/auth/link", {"code": older}).refused(410, "code_gone")
+    api.sql("UPDATE one_time_code SET expires_at = now() WHERE purpose = 'owner' AND used_at IS NULL")
+    Browser(api).post("/auth/link", {"code": newer}).refused(410, "code_gone")
+
+
+def test_only_the_owner_gets_a_link_and_only_from_our_page_does_it_sign_in(api: Api) -> None:
+    admin = people.person(api, admin=True)
+    api.as_(admin.token).post("/auth/owner-link").refused(403, "forbidden")
+    code = code_of(api.post("/auth/owner-link").ok()["url"])
+    foreign = Browser(api, origin="https://evil.example")
+    foreign.post("/auth/link", {"code": code}).refused(401, "not_authenticated")
+    assert foreign.cookies == {}
+
+
+def test_a_link_of_one_kind_is_not_good_for_another(api: Api) -> None:
+    made = account(api)
+    reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
+    Browser(api).post("/auth/link", {"code": reset}).refused(410, "code_gone")
+    Browser(api).post("/auth/invitation", {"code": reset, "password": PASSWORD}).refused(410, "code_gone")
+    owner = code_of(api.post("/auth/owner-link").ok()["url"])
+    Browser(api).post("/auth/reset", {"code": owner, "password": PASSWORD}).refused(410, "code_gone")
