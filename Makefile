@@ -43,6 +43,7 @@ check: setup
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python docs/generate.py --check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
+	@$(BIN)/python -m requirements.audit
 	@echo "check: all good"
 
 bench: setup

@@ -1,0 +1,1 @@
+"""What is installed, pinned; and whether it has known holes."""
