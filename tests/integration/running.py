@@ -27,7 +27,7 @@ Query = Sequence[tuple[str, str]] | Mapping[str, str]
 
 @dataclass(frozen=True)
 class Answer:
-    """What the API answered; `body` is the parsed JSON, or None where there is none."""
+    """What the API answered; `body` is the parsed JSON, or a text that is none, or None where there is nothing."""
 
     status: int
     headers: Mapping[str, str]
@@ -77,7 +77,8 @@ class Api:
         pairs = list(query.items()) if isinstance(query, Mapping) else list(query)
         address = f"{self.url}/api/v1{path}" + (f"?{urlencode(pairs)}" if pairs else "")
         answer = self._pool.request(method, address, body=data, headers=sent)
-        parsed = json.loads(answer.data) if answer.data else None
+        is_text = answer.headers.get("content-type", "").startswith(("text/", "application/jsonl"))
+        parsed = answer.data.decode() if is_text else json.loads(answer.data) if answer.data else None
         return Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
 
     def get(self, path: str, query: Query = ()) -> Answer:

@@ -44,6 +44,7 @@ class Carrier:
     holds: bool = True
     power: bool = False
     is_robot: bool = False
+    is_browser: bool = False
 
     @property
     def is_limited(self) -> bool:
@@ -58,8 +59,8 @@ PLACED = (
     Carrier("person with grants of their own"),
     Carrier("expired member", holds=False),
     Carrier("person whose grants expired", holds=False),
-    Carrier("browser's session"),
-    Carrier("browser's session, lured by another page", Kind.lured),
+    Carrier("browser's session", is_browser=True),
+    Carrier("browser's session, lured by another page", Kind.lured, is_browser=True),
     Carrier("expired session", Kind.nobody),
     Carrier("token to read", scopes=frozenset({READ})),
     Carrier("token to upload", scopes=frozenset({UPLOAD})),

@@ -10,6 +10,7 @@ from kleinkram.server.access.operations import Need, On
 from tests.integration.access.carriers import Carrier, Kind, Reach
 
 _READ = 1
+_WRITE = 3
 _OWNER = 4
 
 
@@ -20,6 +21,13 @@ class About(enum.Enum):
     project = enum.auto()
     mission = enum.auto()
     file = enum.auto()
+    # What is about people.
+    link = enum.auto()
+    edited_group = enum.auto()
+    joined_group = enum.auto()
+    other_group = enum.auto()
+    hermit = enum.auto()
+    owner = enum.auto()
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,10 @@ _SHOWN = {
     About.mission: {Reach.mission, Reach.file, Reach.other_file},
     About.file: {Reach.mission, Reach.file},
 }
+
+# Somebody whom nobody knows, the owner of the server, and groups of which everybody edits one and is in another.
+_AMONG_PEOPLE = {About.link, About.edited_group, About.joined_group, About.other_group, About.hermit, About.owner}
+_OF_MEMBERS = {About.edited_group: _WRITE, About.joined_group: _READ}
 
 
 class Verdict(enum.Enum):
@@ -67,13 +79,17 @@ def admitted(need: Need, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if not need.scopes & carrier.scopes:
         return Verdict.refused
-    if need.on is On.server and not carrier.power:
+    if need.browsers and not carrier.is_browser:
+        return Verdict.refused
+    if need.on is On.server and (not carrier.power or carrier.is_limited):
         return Verdict.refused
     return Verdict.done
 
 
 def level(carrier: Carrier, place: Place, about: About) -> int:
     """Return the level that somebody has on the place's project, its mission, or the file in that."""
+    if about in _AMONG_PEOPLE:
+        return _among_people(carrier, about)
     if carrier.kind is Kind.link:
         return _READ if carrier.reach in _SHOWN.get(about, ()) else 0
     if carrier.reach not in (_REACHING_A_PROJECT if about is About.project else _REACHING_A_MISSION):
@@ -83,6 +99,14 @@ def level(carrier: Carrier, place: Place, about: About) -> int:
     granted = place.project if about is About.project else max(place.project, place.mission)
     is_theirs = carrier.kind in {Kind.person, Kind.lured} and carrier.holds
     return max(granted if is_theirs else 0, _READ if place.is_public else 0)
+
+
+def _among_people(carrier: Carrier, about: About) -> int:
+    if about is About.link:
+        return _READ if carrier.kind is Kind.link else 0
+    if about is About.owner or carrier.is_limited:
+        return 0
+    return _OWNER if carrier.power else _OF_MEMBERS.get(about, 0)
 
 
 def needed(need: Need) -> int:

@@ -177,8 +177,7 @@ def _fill(api: Api, rng: random.Random, mission: Mission, uploaders: list[str]) 
     for name in ("split/0.mcap", "split/1.mcap", "alone.mcap"):
         size_bytes, messages = rng.randrange(1, 10**6), rng.randrange(1, 1000)
         topics = [{"name": f"/{uuid.uuid4().hex}", "message_type": "std_msgs/String", "count": messages}]
-        bytes_ = {"size_bytes": size_bytes, "message_count": messages}
-        file_id = sample.file(mission.id, name, topics=topics, **bytes_)
+        file_id = sample.file(mission.id, name, topics=topics, size_bytes=size_bytes, message_count=messages)
         by = rng.choice(uploaders)
         api.sql("UPDATE file SET uploaded_by_id = %s WHERE id = %s", by, file_id)
         mission.files.append(File(file_id, name, mission, size_bytes, messages, "", by))
@@ -196,7 +195,8 @@ def _grants(
     """Grant somebody this and that, by themselves, by groups, until later and until lately; return what holds."""
     levels: dict[str, int] = {}
     for _ in range(6):
-        place: Project | Mission = rng.choice([*projects, *missions])
+        places: list[Project | Mission] = [*projects, *missions]
+        place = rng.choice(places)
         right, is_over = rng.choice(list(Right)), rng.random() < 0.3
         expires_s = -1 if is_over else rng.choice([None, 3600])
         is_by_membership = rng.random() < 0.5

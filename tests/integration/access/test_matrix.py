@@ -4,17 +4,21 @@ import random
 from collections.abc import Sequence
 
 import pytest
+from fastapi.routing import APIRoute
 
-from kleinkram.server.access.operations import OPERATIONS
+from kleinkram.server.access.operations import OPERATIONS, On
 from tests.integration.access import world as worlds
-from tests.integration.access.callers import CALLERS, Caller, Request
-from tests.integration.access.carriers import MEMBER, PLACED
+from tests.integration.access.callers import CALLERS, DOORS
+from tests.integration.access.calling import Caller, Request
+from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED
 from tests.integration.access.expecting import About, Verdict, admitted, level, needed
 from tests.integration.access.world import Asker, World
 from tests.integration.conftest import StartApi
 
-# The short round: so many places of the plain member an operation, and one of so many of everybody else.
-_MEMBERS, _PLACES_EACH = 12, 4
+# The short round asks an operation for so many of each: places of the plain member, others who are somewhere, others.
+_MEMBERS, _PLACED, _UNPLACED = 8, 14, 5
+# The places that somebody else is in, in the short round.
+_PLACES_EACH = 4
 
 
 @pytest.fixture(scope="module")
@@ -33,42 +37,57 @@ def _wrong(world: World, operation: str, caller: Caller, by: Asker) -> str | Non
     answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, by.headers)
     verdict, expected = caller.verdict(answer), _expected(operation, caller, by, asked)
     if answer.status < 300 and caller.undo is not None:
-        caller.undo(world.api, by)
+        caller.undo(by)
     if verdict is not expected:
         return f"{by.named}: {verdict}, not {expected.value} ({answer.body})"
     if caller.shows is not None and verdict is Verdict.done:
-        is_seen = level(by.carrier, by.place, caller.about) >= needed(OPERATIONS[operation])
+        is_seen = level(by.carrier, by.place, caller.about) >= _needed(operation, caller)
         if caller.shows(answer.body, by) != is_seen:
             return f"{by.named}: is {'not shown it' if is_seen else 'shown it'}"
     return None
 
 
 def _expected(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
-    need = OPERATIONS[operation]
-    at_the_door = admitted(need, by.carrier, is_change=asked.method != "GET")
-    if at_the_door is Verdict.done and caller.is_boundless and by.carrier.is_limited:
-        return Verdict.refused
-    if at_the_door is not Verdict.done or caller.about is About.server or caller.shows is not None:
+    for each in filter(None, (caller.via, operation)):
+        verdict = _expected_of(each, caller, by, asked)
+        if verdict is not Verdict.done:
+            return verdict
+    return Verdict.done
+
+
+def _expected_of(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
+    at_the_door = admitted(OPERATIONS[operation], by.carrier, is_change=asked.method != "GET")
+    if at_the_door is not Verdict.done:
         return at_the_door
-    held = level(by.carrier, by.place, caller.about)
-    if held >= needed(need):
+    if (caller.is_boundless and by.carrier.is_limited) or not caller.scopes & by.carrier.scopes:
+        return Verdict.refused
+    if caller.about is About.server or caller.shows is not None:
         return Verdict.done
+    held = level(by.carrier, by.place, caller.about)
+    if held >= _needed(operation, caller):
+        return Verdict.done
+    if caller.about is About.owner:
+        return Verdict.refused
     return Verdict.unseen if held == 0 or caller.hides else Verdict.refused
 
 
+def _needed(operation: str, caller: Caller) -> int:
+    return caller.needs or needed(OPERATIONS[operation])
+
+
 def _some(world: World, operation: str) -> Sequence[Asker]:
-    """Return everybody, in few places; which ones differs between operations."""
+    """Return some of all who ask; which ones differs between operations."""
     rng = random.Random(operation)
-    chosen = [by for by in world.askers if by.carrier not in PLACED]
-    for carrier in PLACED:
-        everywhere = [by for by in world.askers if by.carrier is carrier]
-        chosen += rng.sample(everywhere, _MEMBERS if carrier is MEMBER else 1)
-    return chosen
+    members = [by for by in world.askers if by.carrier is MEMBER]
+    unplaced = [by for by in world.askers if by.carrier in UNPLACED]
+    others = [[by for by in world.askers if by.carrier is carrier] for carrier in PLACED if carrier is not MEMBER]
+    chosen = [rng.choice(each) for each in rng.sample(others, _PLACED)]
+    return [*rng.sample(members, _MEMBERS), *chosen, *rng.sample(unplaced, _UNPLACED)]
 
 
 @pytest.mark.parametrize("operation", sorted(CALLERS))
 def test_operation(world: World, operation: str) -> None:
-    """Each operation answers some of each kind of asker as the rule says."""
+    """Each operation answers some of all who ask as the rule says."""
     found = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
     assert [each for each in found if each] == []
 
@@ -80,3 +99,16 @@ def test_operation_in_full(whole_world: World, operation: str) -> None:
     askers = whole_world.askers
     found = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in askers]
     assert [each for each in found if each] == []
+
+
+def test_every_operation_and_route_is_called(world: World) -> None:
+    """Whoever adds an operation or a route says here how it is called, or the matrix would say nothing of it."""
+    routes = {route.operation_id for route in world.api.app.routes if isinstance(route, APIRoute)}
+    called = CALLERS.keys() | DOORS
+    how = "add to tests/integration/access/callers_of_things.py, or callers_of_people.py, how to call:"
+    assert sorted(OPERATIONS.keys() - called) == [], how
+    assert sorted(name for name in routes - called if name in OPERATIONS) == [], how
+    assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
+    assert sorted(CALLERS.keys() & DOORS) == []
+    doors = {name for name, need in OPERATIONS.items() if need.guests and need.on is On.nothing}
+    assert doors == DOORS, "whatever is for whoever comes, and about nothing that is there, is a door, and only that"

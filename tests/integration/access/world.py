@@ -44,12 +44,17 @@ class Things:
     # In a project that all who hold anything may fill.
     target: str
     target_mission: str
+    # A link to the mission, and somebody who shares nothing with anybody.
+    link: str
+    hermit: str
+    hermit_name: str
 
 
 @dataclass(frozen=True)
 class Asker:
-    """Somebody in one place, with what their requests carry, and an upload that they began in the mission."""
+    """Somebody in one place, what their requests carry, an upload they began in the mission; `api` is for behind it."""
 
+    api: Api
     carrier: Carrier
     place: Place
     things: Things
@@ -95,6 +100,7 @@ def _things(api: Api, *, is_public: bool) -> Things:
     file, other, trashed = (
         sample.file(mission["id"], f"{name}.mcap", topics=topics) for name in ("one", "two", "gone")
     )
+    hermit = people.person(api)
     things = Things(
         project=project["id"],
         project_name=project["name"],
@@ -108,6 +114,9 @@ def _things(api: Api, *, is_public: bool) -> Things:
         trashed_project=trashed_project,
         target=target,
         target_mission=target_mission,
+        link=people.share(api, mission["id"]).id,
+        hermit=hermit.id,
+        hermit_name=hermit.name,
     )
     api.sql("UPDATE project SET is_public = %s WHERE id = ANY(%s::uuid[])", is_public, [project["id"], trashed_project])
     # Not so lately that whoever brought them might still delete them for that.
@@ -154,7 +163,7 @@ def _placed(api: Api, place: Place, things: Things, carriers: Sequence[Carrier])
         }
         headers = _headers(api, carrier, who, reached.get(carrier.reach))
         upload = begun(api, who.id, things.mission)
-        yield Asker(carrier, place, things, headers, upload, who.id)
+        yield Asker(api, carrier, place, things, headers, upload, who.id)
 
 
 def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) -> dict[str, str]:
@@ -189,7 +198,7 @@ def _unplaced(api: Api, place: Place, things: Things) -> Iterator[Asker]:
             headers = _bearer(made)
         elif carrier.name == "carrier of nonsense":
             headers = {"Authorization": "Bearer nonsense"}
-        yield Asker(carrier, place, things, headers, upload)
+        yield Asker(api, carrier, place, things, headers, upload)
 
 
 def _bearer(made: Token) -> dict[str, str]:

@@ -6,9 +6,10 @@ import hashlib
 import uuid
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, exists, func, or_, select, update
+from sqlalchemy import ColumnElement, Row, Select, bindparam, exists, func, or_, select, update
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
@@ -95,13 +96,13 @@ def unexpired(expires_at: ColumnElement[Any]) -> ColumnElement[bool]:
 
 async def find_actor(db: Connection, secret: str) -> Actor | None:
     """Return who carries a token or a link's secret, or None where it is unknown, expired or revoked, or they left."""
-    hashed = secret_hash(secret)
-    row = (await db.execute(_by_token(hashed))).one_or_none()
+    carried = {"hashed": secret_hash(secret)}
+    row = (await db.execute(_by_token(), carried)).one_or_none()
     if row is not None:
         if row.use_is_unnoted:
             await db.execute(update(token).where(token.c.id == row.token_id).values(last_used_at=func.now()))
         return _carrier(row)
-    row = (await db.execute(_by_share(hashed))).one_or_none()
+    row = (await db.execute(_by_share(), carried)).one_or_none()
     if row is None:
         return None
     if row.use_is_unnoted:
@@ -141,7 +142,9 @@ def _is_unnoted(last_used_at: ColumnElement[Any]) -> ColumnElement[bool]:
     return func.coalesce(late, True).label("use_is_unnoted")
 
 
-def _by_token(hashed: bytes) -> Select[Any]:
+# Made once: to put such a statement together takes longer than to run it, and every request does.
+@cache
+def _by_token() -> Select[Any]:
     def limits(column: ColumnElement[Any]) -> ColumnElement[Any]:
         of_token = select(column).where(token_limit.c.token_id == token.c.id, column.is_not(None))
         return func.array(of_token.correlate(token).scalar_subquery())
@@ -156,7 +159,7 @@ def _by_token(hashed: bytes) -> Select[Any]:
         limits(token_limit.c.mission_id).label("mission_ids"),
     )
     usable = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at)
-    return stmt.join_from(token, person).where(token.c.secret_sha256 == hashed, usable)
+    return stmt.join_from(token, person).where(token.c.secret_sha256 == bindparam("hashed"), usable)
 
 
 def _carrier(row: Row[Any]) -> Actor:
@@ -174,7 +177,8 @@ def _carrier(row: Row[Any]) -> Actor:
     )
 
 
-def _by_share(hashed: bytes) -> Select[Any]:
+@cache
+def _by_share() -> Select[Any]:
     files = select(share_file.c.file_id).where(share_file.c.share_id == share.c.id).correlate(share)
     chosen = func.array(files.scalar_subquery()).label("file_ids")
     usable = share.c.revoked_at.is_(None) & (share.c.expires_at > func.now())
@@ -185,7 +189,7 @@ def _by_share(hashed: bytes) -> Select[Any]:
         .join_from(share, mission, mission.c.id == share.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .join(person, person.c.id == share.c.created_by_id)
-        .where(share.c.secret_sha256 == hashed, usable, stands)
+        .where(share.c.secret_sha256 == bindparam("hashed"), usable, stands)
     )
 
 

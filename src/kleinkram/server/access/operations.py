@@ -125,7 +125,7 @@ OPERATIONS: dict[str, Need] = {
     "create_share": Need(On.mission, Right.write, _ADMIN),
     "list_shares": Need(On.anything, Right.write, _READ),
     "revoke_share": Need(On.mission, Right.write, _WRITE),
-    "get_share": Need(On.nothing, None, _READ, guests=True),
+    "get_share": _seen(),
     # Signing in: whoever has a password or a code needs no account yet
     "list_sign_in_ways": _door(),
     "sign_in_by_password": _door(),
