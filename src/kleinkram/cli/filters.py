@@ -144,7 +144,7 @@ def _project(client: Client, choice: Choice) -> dict[str, object]:
         return {}
     if is_glob(choice.project):
         return {"project": choice.project}
-    return {"project_id": client.projects.get(choice.project).id}
+    return client.missions.within(choice.project).model_dump(exclude_defaults=True)
 
 
 def _place(client: Client, choice: Choice) -> dict[str, object]:

@@ -34,6 +34,8 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
     "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
     "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
+    "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),
+    "share": ("kleinkram.cli.share", "app", "Links for people without an account: create, list, revoke."),
     "trash": ("kleinkram.cli.trash", "app", "What was deleted: list, restore."),
     "audit": ("kleinkram.cli.audit", "audit", "Who did what, when."),
     "inspect": ("kleinkram.cli.inspect", "inspect", "Say what is in local recordings, without a server."),

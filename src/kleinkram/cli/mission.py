@@ -81,7 +81,7 @@ def list_(
     given["satisfied"] = False if unsatisfied else None
     with connect() as client:
         if project is not None and not is_glob(project):
-            given["project_id"] = client.projects.get(project).id
+            given |= client.missions.within(project).model_dump(exclude_defaults=True)
         elif project is not None:
             given["project"] = project
         matching = checked(MissionFilter, "The filter", **{key: value for key, value in given.items() if value})

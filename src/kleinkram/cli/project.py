@@ -8,7 +8,8 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, DryRun, Limit, ProjectOption, Yes, confirm, read_text, the_ref
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import duration, size
+from kleinkram.cli.units import duration, parse_size, size
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
 app = typer.Typer(
@@ -83,14 +84,29 @@ def update(
     new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
     description: DescriptionOption = None,
     fields: FieldsOption = None,
+    public: Annotated[
+        bool | None, typer.Option("--public/--private", help="Whether anybody may read it.", show_default=False)
+    ] = None,
+    licence: Annotated[str | None, typer.Option("--licence", help="An SPDX identifier, such as CC-BY-4.0.")] = None,
+    citation: Annotated[str | None, typer.Option("--citation", help="How to cite it.")] = None,
+    quota_bytes: Annotated[
+        str | None, typer.Option("--quota-bytes", metavar="SIZE", help="At most so much, such as 2TB; or none.")
+    ] = None,
+    quota_files: Annotated[
+        str | None, typer.Option("--quota-files", metavar="N", help="At most so many files; or none.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Change a project. Missions that do not satisfy new fields are reported, not broken."""
+    """Change a project. Missions that do not satisfy new fields are reported, not broken.
+
+    To publish takes DELETE on it; quotas are set by admins.
+    """
+    changes: dict[str, str | bool | int | None] = {"name": new_name, "description": description}
+    changes |= {"fields_yaml": read_text(fields), "is_public": public, "licence": licence, "citation": citation}
+    given = {key: value for key, value in changes.items() if value is not None} | _quotas(quota_bytes, quota_files)
     with connect() as client:
         found = client.projects.get(the_ref("project", name, project))
-        changed = client.projects.update(
-            found.id, name=new_name, description=description, fields_yaml=read_text(fields)
-        )
+        changed = client.projects.update(found.id, **given)
     _show(changed, as_json)
     if changed.unsatisfied_mission_count:
         note(
@@ -118,6 +134,26 @@ def delete(
     show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
+def _quotas(quota_bytes: str | None, quota_files: str | None) -> dict[str, int | None]:
+    """Return what to set; `none` lifts a quota."""
+    given = {"quota_bytes": quota_bytes, "quota_files": quota_files}
+    return {
+        name: None if text == "none" else parse_size(text) if name == "quota_bytes" else _count(text)
+        for name, text in given.items()
+        if text is not None
+    }
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit()):
+        raise InvalidInput(what=f"The number of files {text!r}", reason="say a number, or none")
+    return int(text)
+
+
+def _used(used: object, quota: object) -> str | None:
+    return None if quota is None else f"{used} of {quota}"
+
+
 def _show(project: ProjectRead, as_json: bool) -> None:
     if as_json:
         show_json(project)
@@ -131,6 +167,11 @@ def _show(project: ProjectRead, as_json: bool) -> None:
             ("missions", project.mission_count),
             ("files", f"{project.file_count}, {size(project.size_bytes)}"),
             ("recorded", _hours(project)),
+            ("public", project.is_public or None),
+            ("licence", project.licence),
+            ("citation", project.citation),
+            ("quota", _used(size(project.used_bytes), size(project.quota_bytes))),
+            ("quota of files", _used(project.used_files, project.quota_files)),
             ("unsatisfied missions", project.unsatisfied_mission_count or None),
             ("undeclared metadata", project.metadata_fields.undeclared.value),
         ]

@@ -54,6 +54,22 @@ def parse_time(text: str | None) -> datetime.datetime | None:
     return at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
 
 
+def ending(until: str | None, days: int | None) -> datetime.datetime | None:
+    """Return when something ends that was said to end at a time, or in some days; None where nothing was said.
+
+    Raises:
+        InvalidInput: both were said, or the time is none.
+    """
+    if until is not None and days is not None:
+        raise InvalidInput(what="The end", reason="say --until or --days, not both")
+    return parse_time(until) if days is None else in_days(days)
+
+
+def in_days(days: int) -> datetime.datetime:
+    """Return the time in so many days."""
+    return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=days)
+
+
 def size(size_bytes: int | None) -> str | None:
     """Return bytes as a person reads them."""
     if size_bytes is None:

@@ -78,12 +78,12 @@ def upload(
 
 
 def _find(client: Client, project: str | None, mission: str, create: bool) -> MissionRead | None:
-    if not is_id(mission) or project is not None:
-        project = str(client.projects.get(the_ref("project", None, project)).id)
+    if not is_id(mission):
+        project = the_ref("project", None, project)
     try:
         return client.missions.get(mission, project=project)
-    except NotFound:
-        if not create or is_id(mission):
+    except NotFound as error:
+        if not create or is_id(mission) or error.noun != "mission":
             raise
     return None
 

@@ -1,5 +1,6 @@
 """The client: one connection, one attribute a noun."""
 
+import logging
 from types import TracebackType
 
 from typing_extensions import Self
@@ -16,9 +17,13 @@ from kleinkram.client.people import People
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
 from kleinkram.client.service import Service
+from kleinkram.client.shares import Shares
 from kleinkram.client.stats import Stats
+from kleinkram.client.tokens import Tokens
 from kleinkram.client.trash import Trash
 from kleinkram.client.uploads import Uploads
+
+_log = logging.getLogger("kleinkram")
 
 
 class Client:
@@ -36,6 +41,8 @@ class Client:
         self.access = Access(api)
         self.groups = Groups(api)
         self.people = People(api)
+        self.tokens = Tokens(api)
+        self.shares = Shares(api)
         self.trash = Trash(api)
         self.stats = Stats(api)
         self.audit = Audit(api)
@@ -58,9 +65,13 @@ class Client:
 def connect(url: str | None = None, token: str | None = None) -> Client:
     """Return a client for a server: the one given, else the one configured, else this user's own instance.
 
-    No request is made yet. See `kleinkram.client.config` for the order of places that are asked.
+    No request is made yet. See `kleinkram.client.config` for the order of places that are asked. The address of a link
+    is a server with the link's secret. Where no token is known, one comes as a stranger, who reads public projects.
 
     Raises:
-        NotConfigured: no server is known, or no token for it.
+        NotConfigured: no server is known.
     """
-    return Client(find_endpoint(url, token))
+    endpoint = find_endpoint(url, token)
+    if endpoint.token is None:
+        _log.warning("No token for %s: only what is public there is shown (klein login gets one).", endpoint.url)
+    return Client(endpoint)

@@ -9,7 +9,7 @@ from kleinkram.client.errors import InvalidInput
 T = TypeVar("T", bound=BaseModel)
 
 
-def checked(kind: type[T], what: str, **fields: object) -> T:
+def checked(kind: type[T], what: str, /, **fields: object) -> T:
     """Return a request model of these fields.
 
     Raises:

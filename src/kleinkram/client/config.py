@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from kleinkram.client.errors import ConfigurationBroken, NotConfigured
 from kleinkram.client.saved_endpoints import APPLICATION, load_endpoints, normal_url, short_reason
+from kleinkram.contract.shares import SHARE_PAGE
 
 URL_VARIABLE = "KLEINKRAM_URL"
 TOKEN_VARIABLE = "KLEINKRAM_TOKEN"  # noqa: S105  the variable's name
@@ -35,7 +36,7 @@ class Endpoint:
 
     name: str
     url: str
-    # None: as nobody in particular, who may only ask for a token.
+    # None: as nobody in particular, who may read what is public, and ask for a token.
     token: str | None = field(repr=False)
     source: EndpointSource
 
@@ -60,15 +61,15 @@ def find_endpoint(url: str | None = None, token: str | None = None) -> Endpoint:
     """Return the endpoint to use.
 
     Raises:
-        NotConfigured: there is none, or no token for it.
+        NotConfigured: there is none.
         ConfigurationBroken: a file that should name it cannot be read.
         CredentialsExposed: others can read the file of tokens.
     """
     if url:
-        return _with_token("(given)", normal_url(url), token, EndpointSource.argument)
+        return _with_token("(given)", url, token, EndpointSource.argument)
     if given := os.environ.get(URL_VARIABLE):
         known = token or os.environ.get(TOKEN_VARIABLE)
-        return _with_token("(environment)", normal_url(given), known, EndpointSource.environment)
+        return _with_token("(environment)", given, known, EndpointSource.environment)
     saved = load_endpoints()
     if saved.current and (chosen := saved.endpoints.get(saved.current)):
         return Endpoint(saved.current, chosen.url, token or chosen.token, EndpointSource.chosen)
@@ -95,7 +96,10 @@ def find_local() -> Endpoint | None:
     return Endpoint("local", normal_url(instance.url), token, EndpointSource.local)
 
 
-def _with_token(name: str, url: str, token: str | None, source: EndpointSource) -> Endpoint:
+def _with_token(name: str, given: str, token: str | None, source: EndpointSource) -> Endpoint:
+    base, _, secret = given.partition(f"{SHARE_PAGE}#")  # a link's address is also its secret
+    # What is known for another server is not shown to the link's.
+    url, token = normal_url(base), secret or token
     if token:
         return Endpoint(name, url, token, source)
     local = find_local()
@@ -104,4 +108,4 @@ def _with_token(name: str, url: str, token: str | None, source: EndpointSource) 
     for saved in load_endpoints().endpoints.values():
         if saved.url == url:
             return Endpoint(name, url, saved.token, source)
-    raise NotConfigured(reason=f"there is no token for {url} (`klein login {url}` gets one)")
+    return Endpoint(name, url, None, source)

@@ -8,6 +8,7 @@ from kleinkram.client._paging import count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
 from kleinkram.client.references import the_one
+from kleinkram.contract.errors import NotFound
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.trash import Deleted
@@ -39,9 +40,27 @@ class Missions:
         """
         if isinstance(ref, uuid.UUID) or is_id(ref):
             return self._api.get(f"/missions/{ref}", MissionRead)
-        project_id = None if project is None else Projects(self._api).get(project).id
-        rows = self.list(MissionFilter(project_id=project_id, name=ref))
+        within = MissionFilter() if project is None else self.within(project)
+        rows = self.list(within.model_copy(update={"name": ref}))
         return the_one("mission", ref, rows, name=lambda row: row.name, label=mission_label)
+
+    def within(self, project: str | uuid.UUID) -> MissionFilter:
+        """Return the filter on the missions of a project, by its id or name.
+
+        Who has rights on missions alone sees no project, but its name beside them; they may say that name, too.
+
+        Raises:
+            NotFound: there is no such project, and no mission of one.
+            AmbiguousName: a glob matches several.
+        """
+        try:
+            return MissionFilter(project_id=Projects(self._api).get(project).id)
+        except NotFound:
+            is_name = isinstance(project, str) and not is_id(project)
+            matching = MissionFilter(**{"project" if is_name else "project_id": project})
+            if not any(self.list(matching, limit=1)):
+                raise
+            return matching
 
     def create(
         self, name: str, *, project_id: uuid.UUID, metadata_yaml: str | None = None, notes: str = ""

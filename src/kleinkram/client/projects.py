@@ -58,23 +58,14 @@ class Projects:
         body = checked(ProjectCreate, "The project", name=name, description=description, fields_yaml=fields_yaml)
         return self._api.send("POST", "/projects", ProjectRead, body)
 
-    def update(
-        self,
-        project_id: uuid.UUID,
-        *,
-        name: str | None = None,
-        description: str | None = None,
-        fields_yaml: str | None = None,
-    ) -> ProjectRead:
-        """Change what is given and return the project.
+    def update(self, project_id: uuid.UUID, **changes: str | bool | int | None) -> ProjectRead:
+        """Change what is given (the fields of `ProjectUpdate`) and return the project; a quota of None lifts it.
 
         Raises:
             NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
+            Forbidden: to publish is for owners, quotas are for admins.
         """
-        given = {"name": name, "description": description, "fields_yaml": fields_yaml}
-        body = checked(
-            ProjectUpdate, "The project", **{key: value for key, value in given.items() if value is not None}
-        )
+        body = checked(ProjectUpdate, "The project", **changes)
         return self._api.patch(f"/projects/{project_id}", ProjectRead, body)
 
     def delete(self, project_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:

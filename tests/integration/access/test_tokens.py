@@ -2,14 +2,21 @@
 
 import datetime
 import re
+import uuid
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from kleinkram import connect
+from kleinkram.client.transfer import Outcome, plan_upload
+from kleinkram.client.transfer.upload import upload as send_files
+from kleinkram.contract.errors import FileExists
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
 from tests.integration import people
 from tests.integration.running import Api
+from tests.integration.uploading import upload
 
 
 def _made(api: Api, **wanted: Any) -> Any:
@@ -129,6 +136,40 @@ def test_a_robot_that_may_only_upload_to_one_project_sees_no_other(api: Api) -> 
     its.post(f"/projects/{other['id']}/missions", {"name": "x"}).refused(404, "not_found")
     for path in ("/files", "/topics", "/stats", "/trash", "/audit", "/tokens"):
         its.get(path).refused(403, "scope_missing")
+
+
+def test_a_robot_hears_that_a_file_is_there_and_no_more_of_it(api: Api, tmp_path: Path) -> None:
+    ada, mission = people.person(api), api.mission(api.project()["id"], notes="secret", metadata_yaml="robot: spot\n")
+    people.grant(api, ada, Right.create, mission_id=mission["id"])
+    secret = people.token(api, ada, [Scope.upload], limits=[mission["id"]]).secret
+    (tmp_path / "same.bin").write_bytes(b"brought by another, and by the robot")
+    (tmp_path / "other.bin").write_bytes(b"of the robot")
+    (tmp_path / "new.bin").write_bytes(b"not there yet")
+    for path, body in (("same.bin", (tmp_path / "same.bin").read_bytes()), ("other.bin", b"of another")):
+        upload(api, mission["id"], path, body)
+    with connect(api.url, secret) as client:
+        report = send_files(client, uuid.UUID(mission["id"]), plan_upload([f"{tmp_path}/"]))
+        new, other, same = sorted(report.results, key=lambda result: result.path)
+        assert (new.outcome, same.outcome, same.file_id) == (Outcome.uploaded, Outcome.present, None)
+        assert isinstance(other.error, FileExists)
+        assert (other.error.existing_sha256, other.error.existing_file_id) == (None, None)
+        assert "other content" in str(other.error)
+        seen = client.missions.get(mission["name"], project=mission["project"]["name"])
+    assert (seen.file_count, seen.size_bytes) == (1, 13), "what it brought itself"
+    assert (seen.notes, seen.metadata, seen.metadata_yaml) == ("", {}, None)
+
+
+@pytest.mark.parametrize("query", [{"where": "robot=spot"}, {"satisfied": "true"}])
+def test_a_robot_cannot_ask_what_it_is_not_shown(api: Api, query: dict[str, str]) -> None:
+    project = api.project(description="about something")
+    api.mission(project["id"], notes="secret", metadata_yaml="robot: spot\n")
+    its = api.as_(_made(api, kind="robot", project_ids=[project["id"]])["secret"])
+    its.get("/missions", query).refused(422, "invalid_query")
+    for text in ("secret", "spot", "something"):
+        assert its.all("/missions", {"text": text}) == its.all("/projects", {"text": text}) == []
+    assert its.all("/projects")[0]["description"] == ""
+    form = its.get(f"/projects/{project['id']}/template").ok()
+    assert (form["prefilled_from"], "spot" in form["yaml"]) == (None, False)
 
 
 def test_a_runners_token_is_made_by_admins_and_reaches_no_data(api: Api) -> None:

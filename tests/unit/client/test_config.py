@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram import connect
 from kleinkram.client.config import EndpointSource, find_endpoint
 from kleinkram.client.errors import ConfigurationBroken, InvalidInput, NotConfigured
 from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, endpoints_file, normal_url
@@ -51,8 +52,22 @@ def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch:
     monkeypatch.setenv("KLEINKRAM_URL", "http://127.0.0.1:8000/")
     assert find_endpoint().token == "local-token"
     monkeypatch.setenv("KLEINKRAM_URL", "https://elsewhere")
-    with pytest.raises(NotConfigured, match="klein login https://elsewhere"):
-        find_endpoint()
+    assert find_endpoint().token is None, "a stranger there"
+
+
+def test_the_address_of_a_link_is_a_server_and_a_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = find_endpoint("https://lab/s#klein_link_x")
+    assert (given.url, given.token) == ("https://lab", "klein_link_x")
+    assert "klein_link_x" not in repr(given)
+    monkeypatch.setenv("KLEINKRAM_URL", "https://lab/below/s#klein_link_y")
+    monkeypatch.setenv("KLEINKRAM_TOKEN", "of-another-server")
+    assert (find_endpoint().url, find_endpoint().token) == ("https://lab/below", "klein_link_y")
+
+
+def test_without_a_token_one_is_told_what_is_shown(caplog: pytest.LogCaptureFixture) -> None:
+    connect("https://elsewhere").close()
+    assert "https://elsewhere" in caplog.text
+    assert "only what is public" in caplog.text
 
 
 @pytest.mark.parametrize("content", ["", "{", '{"endpoints": 3}'])

@@ -1,0 +1,135 @@
+"""`klein token …`"""
+
+import uuid
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.options import AsJson, Limit, Until
+from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
+from kleinkram.cli.units import ending
+from kleinkram.client import Client
+from kleinkram.client.tokens import Reach
+from kleinkram.contract.names import is_id
+from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.tokens import TokenRead
+
+app = typer.Typer(
+    help="Tokens: what scripts, robots and runners sign in with.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Days = Annotated[int | None, typer.Option("--days", metavar="N", min=1, max=36_500, help="It ends in so many days.")]
+Everybody = Annotated[bool, typer.Option("--everybody", help="Those of others, too; for admins.")]
+
+
+@app.command("create")
+def create(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What it is for.", show_default=False)],
+    kind: Annotated[TokenKind, typer.Option("--kind", help="Whose it is.")] = TokenKind.personal,
+    scope: Annotated[
+        list[Scope] | None,
+        typer.Option("--scope", help="What it is for; may be repeated. Usual: write, for robots upload."),
+    ] = None,
+    project: Annotated[
+        list[str] | None,
+        typer.Option("--project", "-p", metavar="PROJECT", help="Reaches only this; may be repeated."),
+    ] = None,
+    mission: Annotated[
+        list[str] | None,
+        typer.Option("--mission", "-m", metavar="PROJECT/MISSION", help="Reaches only this; may be repeated."),
+    ] = None,
+    until: Until = None,
+    days: Days = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a token and print it. It is shown this once."""
+    expires_at = ending(until, days)
+    with connect() as client:
+        reach = Reach([client.projects.get(ref).id for ref in project or []], _missions(client, mission or []))
+        made = client.tokens.create(name, kind=kind, scopes=scope or None, reach=reach, expires_at=expires_at)
+    if as_json:
+        show_json(made)
+        return
+    line(made.secret)
+    token = made.token
+    note(f"Keep it now: nobody can show it again. {_summary(token)} `klein token revoke {token.prefix}` ends it.")
+
+
+@app.command("list")
+def list_(
+    everybody: Everybody = False,
+    ended: Annotated[bool, typer.Option("--ended", help="Also those that were revoked or have expired.")] = False,
+    limit: Limit = None,
+    as_json: AsJson = False,
+) -> None:
+    """List tokens, latest first."""
+    with connect() as client:
+        rows = [*client.tokens.list(everybody=everybody, ended=ended, limit=limit)]
+    if as_json:
+        show_json_list(rows)
+        return
+    table(
+        ["name", "begins", "kind", "scopes", "reaches", "of", "last used", "until", "revoked", "id"],
+        [
+            (
+                row.name,
+                row.prefix or None,
+                row.kind.value,
+                _scopes(row),
+                _places(row),
+                row.person.name,
+                row.last_used_at,
+                row.expires_at,
+                row.revoked_at,
+                row.id,
+            )
+            for row in rows
+        ],
+    )
+
+
+@app.command("revoke")
+def revoke(
+    ref: Annotated[
+        str, typer.Argument(metavar="TOKEN", help="Its name, how it begins, or its id.", show_default=False)
+    ],
+    everybody: Everybody = False,
+    as_json: AsJson = False,
+) -> None:
+    """End a token, from the next request on."""
+    with connect() as client:
+        found = client.tokens.get(ref, everybody=everybody)
+        client.tokens.revoke(found.id)
+    if as_json:
+        show_json({"revoked": found.model_dump(mode="json")})
+        return
+    details([("revoked", found.name), ("begins", found.prefix), ("id", found.id)])
+
+
+def _missions(client: Client, refs: list[str]) -> list[uuid.UUID]:
+    """Return the missions of ids, names, and names behind their projects' (no name holds a slash)."""
+    found = []
+    for ref in refs:
+        project, _, name = ref.rpartition("/")
+        found.append(client.missions.get(name, project=None if is_id(ref) else project or None).id)
+    return found
+
+
+def _summary(token: TokenRead) -> str:
+    ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
+    return f"Good for {escape(_scopes(token))} on {escape(_places(token))}, {ends}."
+
+
+def _scopes(token: TokenRead) -> str:
+    return ", ".join(scope.value for scope in token.scopes)
+
+
+def _places(token: TokenRead) -> str:
+    if token.limits is None:
+        return "all that its person reaches"
+    return ", ".join(f"{place.noun} {place.name or place.id}" for place in token.limits) or "nothing any more"

@@ -1,0 +1,88 @@
+"""Tokens, for programs."""
+
+import builtins
+import datetime
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._paging import pages
+from kleinkram.client.checking import checked
+from kleinkram.client.references import the_one
+from kleinkram.contract.names import is_id
+from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The projects and missions that a token is limited to; with none of either, it is not limited."""
+
+    project_ids: Sequence[uuid.UUID] = ()
+    mission_ids: Sequence[uuid.UUID] = ()
+
+
+class Tokens:
+    """`client.tokens`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def create(
+        self,
+        name: str,
+        *,
+        kind: TokenKind = TokenKind.personal,
+        scopes: Sequence[Scope] | None = None,
+        reach: Reach | None = None,
+        expires_at: datetime.datetime | None = None,
+    ) -> TokenMade:
+        """Make a token and return it with its secret, which can never be shown again.
+
+        Without `scopes` it gets those usual for its kind: write for a person's, upload for a robot's, run for a
+        runner's.
+
+        Raises:
+            TokenTooWide: it could do more than the token of this client.
+            NotFound: a project or mission to limit it to is not there.
+            Forbidden: tokens for runners are made by admins.
+            InvalidInput: it is not one that can be; a robot's, for one, must be limited.
+        """
+        given: dict[str, object] = {"name": name, "kind": kind, "expires_at": expires_at}
+        if scopes is not None:
+            given["scopes"] = [*scopes]
+        if reach is not None:
+            given |= {"project_ids": [*reach.project_ids], "mission_ids": [*reach.mission_ids]}
+        return self._api.send("POST", "/tokens", TokenMade, checked(TokenCreate, "The token", **given))
+
+    def list(self, *, everybody: bool = False, ended: bool = False, limit: int | None = None) -> Iterator[TokenRead]:
+        """Yield one's tokens, latest first; with `ended` those that are over, too. `everybody` is for admins."""
+        query = query_of(None, everybody=everybody or None, ended=ended or None)
+        return pages(self._api, "/tokens", TokenRead, query, limit=limit)
+
+    def get(self, ref: str | uuid.UUID, *, everybody: bool = False) -> TokenRead:
+        """Return the token with this id, name, or beginning of its secret; `everybody` is for admins.
+
+        Raises:
+            NotFound: there is none that can still be used.
+            AmbiguousName: several have that name.
+        """
+        rows: builtins.list[TokenRead] = [*self.list(everybody=everybody)]
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return the_one("token", str(ref), rows, name=lambda row: str(row.id), label=token_label)
+        begun = [row for row in rows if row.prefix and ref.startswith(row.prefix)]
+        return begun[0] if len(begun) == 1 else the_one("token", ref, rows, name=_name, label=token_label)
+
+    def revoke(self, token_id: uuid.UUID) -> None:
+        """End a token, from the next request on."""
+        self._api.delete(f"/tokens/{token_id}")
+
+
+def token_label(token: TokenRead) -> str:
+    """Return how a token is listed among candidates."""
+    return f"{token.name} ({token.prefix}…, {token.id})"
+
+
+def _name(token: TokenRead) -> str:
+    return token.name
