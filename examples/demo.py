@@ -7,6 +7,7 @@ import argparse
 import filecmp
 import json
 import os
+import secrets
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from people import Browser, log_in
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGE = ROOT / ".demo"
@@ -51,6 +54,7 @@ def main() -> int:
     try:
         with running_instance(story):
             tell(story)
+            tell_of_people(story)
             if told.story:
                 tell_the_rest(story)
     except Failed as failure:
@@ -83,8 +87,11 @@ class Story:
         print(f"  {time.monotonic() - self.started:6.1f} s  in all\n")
 
 
-def environment() -> dict[str, str]:
-    """Return the environment in which `klein` finds only the demo's own instance."""
+def environment(who: str | None = None) -> dict[str, str]:
+    """Return the environment in which `klein` finds only the demo's own instance; of somebody else, not even that."""
+    if who is not None:
+        homes = {f"XDG_{kind}_HOME": str(STAGE / who / kind.lower()) for kind in ("CONFIG", "STATE", "DATA")}
+        return {**environment(), **homes, "KLEINKRAM_DATA_DIR": str(STAGE / who / "none"), "BROWSER": "true"}
     kept = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
     homes = {"XDG_CONFIG_HOME": STAGE / "config", "XDG_STATE_HOME": STAGE / "state", "XDG_DATA_HOME": STAGE / "share"}
     return {
@@ -95,12 +102,17 @@ def environment() -> dict[str, str]:
     }
 
 
-def klein(*arguments: str | Path, show: bool = True, expect: int = 0) -> str:
-    """Run one command as a person would, and return what it printed on stdout."""
+def klein(
+    *arguments: str | Path, show: bool = True, expect: int = 0, who: str | None = None, token: str | None = None
+) -> str:
+    """Run one command as a person would, and return what it printed on stdout; `token` is what a robot comes with."""
     command = [str(KLEIN), *map(str, arguments)]
     if show:
-        print(f"$ klein {' '.join(map(str, arguments))}", flush=True)
-    done = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd=STAGE, check=False)
+        print(f"{who or ''}$ klein {' '.join(map(str, arguments))}", flush=True)
+    known = (
+        environment(who) if token is None else {**environment(who), "KLEINKRAM_TOKEN": token, "KLEINKRAM_URL": url()}
+    )
+    done = subprocess.run(command, capture_output=True, text=True, env=known, cwd=STAGE, check=False)
     if show:
         for text in (done.stdout, done.stderr):
             print("".join(f"  {line}\n" for line in text.splitlines()), end="", flush=True)
@@ -108,6 +120,11 @@ def klein(*arguments: str | Path, show: bool = True, expect: int = 0) -> str:
         detail = "" if show else done.stderr
         raise Failed(f"`klein {' '.join(map(str, arguments))}` ended with {done.returncode}, not {expect}. {detail}")
     return done.stdout
+
+
+def url() -> str:
+    """Return where the demo's instance answers."""
+    return str(json.loads((STAGE / "data" / "instance.json").read_text())["url"])
 
 
 @contextmanager
@@ -210,6 +227,39 @@ def kill_and_resume(story: Story) -> None:
     with story.step("... and run the same command again"):
         klein(*command, "second-day")
         klein("verify", "-p", "alpine", "-m", "jungfraujoch-2", "second-day")
+
+
+def tell_of_people(story: Story) -> None:
+    """Somebody who is refused, let in, and sees; and a robot that can only upload."""
+    with story.step("Ben is invited, chooses a password in his browser, and signs in on his laptop"):
+        klein("project", "create", "secret-plans", show=False)
+        browser, link = Browser(url()), klein("person", "invite", "ben@lab.example", "--name", "Ben", show=False)
+        print("$ klein person invite ben@lab.example --name Ben")
+        browser.accept_invitation(link.strip(), secrets.token_urlsafe())
+        print(f"ben$ klein login {browser.url}", flush=True)
+        if log_in(KLEIN, browser, environment("ben"), lambda line: print(f"  {line}", flush=True)) != 0:
+            raise Failed("Ben could not sign in")
+    with story.step("He sees nothing: what one may not see is not there"):
+        klein("project", "list", who="ben")
+        klein("mission", "info", "jungfraujoch-1", "-p", "alpine", who="ben", expect=3)
+    with story.step("Granted to read, he sees, and may not write"):
+        klein("access", "grant", "READ", "--to", "ben@lab.example", "-p", "alpine")
+        klein("search", "--topic", "*imu*", who="ben")
+        klein("mission", "delete", "jungfraujoch-1", "-p", "alpine", "--yes", who="ben", expect=4)
+    with story.step("A robot gets a token that can only upload, to one project"):
+        print("$ klein token create anymal-3 --kind robot -p alpine --days 30")
+        token = klein(
+            "token", "create", "anymal-3", "--kind", "robot", "-p", "alpine", "--days", "30", show=False
+        ).strip()
+        print(f"  {token[:16]}…")
+        (STAGE / "robot.log").write_text("all well\n")
+        mission = ("-p", "alpine", "-m", "ridge")
+        robot = {"who": "anymal-3", "token": token}
+        klein("upload", *mission, "--create", "--metadata", "mission.yaml", "robot.log", **robot)
+        klein("project", "list", **robot)
+        klein("download", *mission, "--dest", "stolen", expect=4, **robot)
+    with story.step("All of it is in the record"):
+        klein("audit", "-p", "alpine", "--limit", "6")
 
 
 def tell_the_rest(story: Story) -> None:

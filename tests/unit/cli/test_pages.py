@@ -1,0 +1,70 @@
+"""Every command that a page shows is one that klein has, with the options that it shows."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from kleinkram.cli.main import app
+
+ROOT = Path(__file__).parents[3]
+# migrating.md sets the commands of the original beside ours.
+PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")} - {ROOT / "docs" / "migrating.md"})
+_ENDS = {"|", ">", ">>", "<", "&", "&&", "||", ";"}
+_NAME = re.compile(r"[a-z][a-z-]*")
+
+
+def commands_on(page: Path) -> Iterator[str]:
+    """Yield each command line that begins with klein, in blocks of code and between backticks."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"```(?:bash|console)\n(.*?)```", text, re.DOTALL)
+    for line in "\n".join(blocks).splitlines():
+        stripped = line.strip().removeprefix("$ ")
+        if stripped.startswith("klein "):
+            yield stripped
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    yield from (span for span in re.findall(r"`([^`\n]+)`", prose) if span.startswith("klein "))
+
+
+@cache
+def root() -> Any:  # Any: which click it is, Typer's own copy or the library, is Typer's business
+    return typer.main.get_command(app)
+
+
+def resolve(words: list[str]) -> tuple[Any, list[str]]:
+    """Return the command that words name, and the words after it."""
+    command, context, path = root(), None, []
+    while hasattr(command, "get_command") and words and _NAME.fullmatch(words[0]):
+        context = command.context_class(command, parent=context)
+        found = command.get_command(context, words[0])
+        assert found is not None, f"there is no `klein {' '.join([*path, words[0]])}`"
+        path.append(words[0])
+        command, words = found, words[1:]
+    return command, words
+
+
+def options_of(command: Any) -> set[str]:
+    own = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    return own | {"--help", "-h", "--version"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_the_commands_on_a_page_exist(page: Path) -> None:
+    for line in commands_on(page):
+        words = shlex.split(line, comments=True)[1:]
+        stop = next((number for number, word in enumerate(words) if word in _ENDS), len(words))
+        command, rest = resolve(words[:stop])
+        given = {
+            word.partition("=")[0] for word in rest if word.startswith("-") and len(word) > 1 and not word[1:].isdigit()
+        }
+        unknown = given - options_of(command)
+        assert not unknown, f"`{line}`: {command.name} has no {', '.join(sorted(unknown))}"
+
+
+def test_pages_show_commands() -> None:
+    assert sum(len([*commands_on(page)]) for page in PAGES) > 50
