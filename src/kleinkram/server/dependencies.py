@@ -4,6 +4,7 @@ from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import Depends, Request
+from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
@@ -103,6 +104,17 @@ def refuse_foreign_page(request: Request) -> None:
 
 
 CurrentActor = Annotated[Actor, Depends(_actor)]
+
+
+def asks_who(route: APIRoute) -> bool:
+    """Say whether a route lets nobody in before it knows who comes, and that its operation is for them."""
+    waiting = [route.dependant]
+    while waiting:
+        dependant = waiting.pop()
+        if dependant.call is _actor:
+            return True
+        waiting += dependant.dependencies
+    return False
 
 
 async def _transaction(database: CurrentDatabase, _known: CurrentActor) -> AsyncIterator[Connection]:

@@ -161,3 +161,13 @@ OPERATIONS: dict[str, Need] = {
     "export_audit_events": Need(On.project, Right.delete, _READ),
     "get_service": Need(On.nothing, None, _ANY, runners=True),
 }
+
+# What is for everybody, and asks nobody who they are. Nothing here may say a name, or what anybody has.
+OPEN_PAGES = {
+    "/health/live": "whether the process answers",
+    "/health/ready": "whether database, schema and store are there",
+    "/metrics": "counts over the whole server, for networks that the settings name",
+    "/sign-in": "the page of the ways to sign in",
+    "/sign-in/static/{name}": "its script and stylesheet",
+    "/sign-in/{name}": "the other pages of signing in, without anything in them",
+}

@@ -1,0 +1,88 @@
+"""No route without a guard: what is not in the table of operations does not start."""
+
+import pytest
+from fastapi import APIRouter
+from fastapi.routing import APIRoute
+from starlette.routing import Mount
+
+from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
+from kleinkram.server.app import ROUTERS, create_app, see_that_all_are_guarded
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, asks_who
+from kleinkram.server.settings import Settings
+
+_SETTINGS = {
+    "database_url": "postgresql://kleinkram_serve@localhost/kleinkram",
+    "s3_internal_url": "http://localhost:8333",
+    "s3_access_key": "key",
+    "s3_secret_key": "secret",
+}
+
+
+def _routes() -> list[APIRoute]:
+    return [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
+
+
+def test_every_route_asks_who_comes_or_is_for_everybody() -> None:
+    open_to_all = sorted(route.path for route in _routes() if not asks_who(route))
+    assert open_to_all == sorted(OPEN_PAGES)
+
+
+def test_every_route_of_the_api_is_in_the_schema_and_the_other_way_round() -> None:
+    """So that nothing is served which tests made from the schema do not see."""
+    app = create_app(Settings.model_validate(_SETTINGS))
+    described = {operation["operationId"] for path in app.openapi()["paths"].values() for operation in path.values()}
+    served = {route.operation_id for route in _routes() if route.path.startswith("/api/")}
+    assert described == served
+    # The pages of signing in are for people, and where providers send them back to.
+    assert {route.operation_id for route in _routes()} - served == {None, "end_provider_sign_in"}
+
+
+def test_every_operation_has_a_route_or_is_what_another_turns_into() -> None:
+    routed = {route.operation_id for route in _routes()}
+    assert OPERATIONS.keys() - routed == {"move_mission", "move_file", "publish_project", "set_project_quota"}
+
+
+def test_no_route_is_served_twice() -> None:
+    named = [(method, route.path) for route in _routes() for method in route.methods]
+    assert len(named) == len(set(named))
+
+
+def test_a_route_that_nobody_has_spoken_for_does_not_start() -> None:
+    router = APIRouter()
+
+    @router.get("/unsaid", operation_id="unsaid")
+    async def unsaid(actor: CurrentActor) -> str:
+        return actor.name
+
+    with pytest.raises(RuntimeError, match=r"/unsaid has no row"):
+        see_that_all_are_guarded([router])
+
+
+def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
+    router = APIRouter()
+
+    @router.get("/unguarded", operation_id="get_project")
+    async def unguarded(settings: CurrentSettings) -> str:
+        return settings.public_url
+
+    with pytest.raises(RuntimeError, match=r"/unguarded has no row"):
+        see_that_all_are_guarded([router])
+
+
+def test_whatever_is_no_route_of_ours_does_not_start() -> None:
+    router = APIRouter()
+    router.routes.append(Mount("/mounted", routes=[]))
+    with pytest.raises(RuntimeError, match=r"/mounted has no row"):
+        see_that_all_are_guarded([router])
+
+
+def test_a_transaction_asks_who_comes() -> None:
+    router = APIRouter()
+
+    @router.get("/with-transaction")
+    async def with_transaction(db: Transaction) -> str:
+        return str(db)
+
+    (route,) = router.routes
+    assert isinstance(route, APIRoute)
+    assert asks_who(route)
