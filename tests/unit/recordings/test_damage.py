@@ -124,6 +124,11 @@ NAMES = st.sampled_from(sorted(WHOLE))
 PLACES = st.floats(0, 1)
 
 
+def place_of(name: str, at: int) -> float:
+    """Return what leads to a byte of a file, as the tests choose one."""
+    return (at - 13 + 0.5) / (len(WHOLE[name].data) - 14)
+
+
 def scanned(data: bytes, name: str) -> RecordingSummary:
     return scan(from_source(MemorySource(data, name)))
 
@@ -192,6 +197,9 @@ def test_a_cut_anywhere(name: str, place: float) -> None:
 
 @given(NAMES, PLACES, st.integers(0, 7))
 @example("none.mcap", 0.7531278399983186, 1)  # a message index becomes a message
+@example("none.mcap", place_of("none.mcap", 1658), 1)  # a message index is said to hold some of the next chunk
+@example("none.mcap", place_of("none.mcap", 1846), 1)  # the last message index of a chunk becomes a message
+@example("none.mcap", place_of("none.mcap", 13884), 0)  # a channel in the summary becomes a message
 @example("lz4.bag", 0.30179838998996594, 3)  # a chunk is said to be so long that it holds the next one, too
 @settings(max_examples=2500, deadline=None)
 def test_a_flipped_bit(name: str, place: float, bit: int) -> None:

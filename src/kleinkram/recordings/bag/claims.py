@@ -24,6 +24,7 @@ class Claims:
     chunks: int = 0
     infos: int = 0
     messages: int = 0
+    _latest: int = 0
 
     def note_header(self, fields: Fields) -> None:
         """Note what a bag's header announces; the first one counts."""
@@ -38,9 +39,14 @@ class Claims:
         Raises:
             Malformed: it is damaged.
         """
-        info = records.read_chunk_info(fields, data, where)
+        self._latest = records.read_chunk_info(fields, data, where).messages
         self.infos += 1
-        self.messages += info.messages
+        self.messages += self._latest
+
+    def forget_chunk_info(self) -> None:
+        """Take back the latest one: bytes of it are missing."""
+        self.infos -= 1
+        self.messages -= self._latest
 
     def settle(self, losses: Losses, *, connections: int, chunks: int, size_bytes: int) -> int | None:
         """Compare with the connections and the readable chunks that came; note what is missing as lost.

@@ -143,6 +143,8 @@ class _Scanner:
         if is_at_hand and not contents.is_record(stream.window, after):
             damage = Malformed(f"byte {stream.position + total}", "rubbish where a record should begin")
             self.scan.losses.vain_bytes += total
+            if record.opcode == records.CHUNK_INFO:
+                self._claims.forget_chunk_info()
             self._resync(damage, believed=total)
         else:
             stream.advance(total)

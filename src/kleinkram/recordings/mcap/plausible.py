@@ -68,6 +68,11 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
+    if (
+        needed < length
+        and record_end(data, at + RECORD_HEAD.size + needed, left - RECORD_HEAD.size - needed) is not None
+    ):
+        return "a record that is said to be so long that it holds the next one, too"
     return None
 
 
