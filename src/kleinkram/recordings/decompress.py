@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
 import lz4.frame
 import zstandard
@@ -28,11 +29,12 @@ def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> For
     if name in ("", "none"):
         return ForwardStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
     if name == "bz2":
-        return ForwardStream(_bounded(_bz2(read), uncompressed_bytes))
+        return ForwardStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
     if name == "zstd":
         return ForwardStream(_bounded(_zstd(read), uncompressed_bytes))
     if name == "lz4":
-        return ForwardStream(_bounded(_lz4(read), uncompressed_bytes))
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        return ForwardStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
     raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
 
 
@@ -171,39 +173,37 @@ def _zstd(read: ReadUpTo) -> Refill:
     return refill
 
 
-def _lz4(read: ReadUpTo) -> Refill:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
+class _Decompressor(Protocol):
+    """What lz4 and bz2 have in common."""
+
+    @property
+    def eof(self) -> bool:
+        """Whether the end of the data was reached."""
+
+    @property
+    def needs_input(self) -> bool:
+        """Whether nothing more comes out of what it was given."""
+
+    @property
+    def unused_data(self) -> bytes | None:
+        """What followed the end."""
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
+        """Return what comes out, at most so many bytes."""
+
+
+def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: type[Exception]) -> Refill:
+    """Return what decompresses the next window; `damage`: how this library says that data are damaged."""
 
     def refill() -> bytes:
         while not decompressor.eof:
             data = read(WINDOW) if decompressor.needs_input else b""
             if decompressor.needs_input and not data:
-                raise Malformed("chunk", "its lz4 data breaks off")
-            try:
-                piece: bytes = decompressor.decompress(data, max_length=WINDOW)
-            except RuntimeError as error:
-                raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
-            if piece:
-                return piece
-        if decompressor.unused_data or read(1):
-            raise Malformed("chunk", "its data do not end where it ends")
-        return b""
-
-    return refill
-
-
-def _bz2(read: ReadUpTo) -> Refill:
-    decompressor = bz2.BZ2Decompressor()
-
-    def refill() -> bytes:
-        while not decompressor.eof:
-            data = read(WINDOW) if decompressor.needs_input else b""
-            if decompressor.needs_input and not data:
-                raise Malformed("chunk", "its bz2 data breaks off")
+                raise Malformed("chunk", f"its {name} data breaks off")
             try:
                 piece = decompressor.decompress(data, max_length=WINDOW)
-            except OSError as error:
-                raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
+            except damage as error:
+                raise Malformed("chunk", f"its {name} data is damaged ({error})") from error
             if piece:
                 return piece
         if decompressor.unused_data or read(1):

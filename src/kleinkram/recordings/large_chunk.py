@@ -7,6 +7,8 @@ which are kept or thrown away then: a large chunk comes out as a small one would
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
 
 from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed
@@ -81,3 +83,50 @@ class LargeChunk:
         self.inner.advance(self.inner.left)
         self._content.finish()
         return self.inner.crc()
+
+
+class LargeReading(Protocol):
+    """Reads the records of one large chunk in its format, into copies of what is known."""
+
+    chunk: LargeChunk
+
+    def read(self) -> Malformed | None:
+        """Follow the records; return why that ended."""
+
+    def prove(self) -> None:
+        """Pass over the rest.
+
+        Raises:
+            Malformed: nothing of the chunk can be believed.
+        """
+
+    def keep(self) -> None:
+        """Believe what was found."""
+
+    def forget(self) -> None:
+        """Believe nothing."""
+
+
+def read_whole(reading: LargeReading) -> Malformed | None:
+    """Read a chunk and believe it; return why not all of it could be followed.
+
+    Raises:
+        Malformed: nothing of it can be believed.
+    """
+    try:
+        fault = reading.read()
+        reading.prove()
+    except Malformed:
+        reading.forget()
+        raise
+    reading.keep()
+    return fault
+
+
+def read_cut(reading: LargeReading, stored: int) -> int:
+    """Read and believe what there is of a chunk whose end is missing; return how many of its `stored` bytes it is."""
+    with suppress(Malformed):
+        reading.read()
+    reading.keep()
+    seen = reading.chunk.inner.seen
+    return stored * reading.chunk.walked // seen if seen else 0

@@ -175,6 +175,7 @@ def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
 @example("lz4.bag", 0.5, 406)  # a damaged chunk ends where the next one's compressed data look like a message
 @example("zstd.mcap", 0.3515625, 250)  # what is left of a chunk's head looks like a record of unknown kind
 @example("none.mcap", 0.8125, 701)  # a damaged chunk reaches over the next one, to a record of that one's index
+@example("bz2.bag", place_of("bz2.bag", 19001), 1)  # what is left of a chunk info claims messages without number
 @example("lz4.mcap", 0.9296875, 411)  # what is left of the statistics claims more messages than there are stars
 @settings(max_examples=2500, deadline=None)
 def test_a_sector_cut_out(name: str, place: float, length: int) -> None:

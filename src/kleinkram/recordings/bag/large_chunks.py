@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 from kleinkram.recordings.bag import contents, records
 from kleinkram.recordings.bag.contents import BagFacts, Record, parse_record, walk
 from kleinkram.recordings.bag.walking import learn_layout
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.large_chunk import LargeChunk
+from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.limits import MAX_TAKE
 from kleinkram.recordings.listening import Place
 from kleinkram.recordings.stream import Lookahead
@@ -27,6 +25,14 @@ class _Reading:
     def read(self) -> Malformed | None:
         """Follow the records; return why that ended."""
         return self.chunk.read(self._step, self._flush)
+
+    def prove(self) -> None:
+        """Pass over the rest.
+
+        Raises:
+            Malformed: the data are damaged.
+        """
+        self.chunk.finish()
 
     def keep(self) -> None:
         """Believe what was found."""
@@ -78,15 +84,7 @@ def read_large_chunk(
     Raises:
         Malformed: its data are damaged, so that nothing of it can be believed; nothing was added.
     """
-    reading = _Reading(stream, record, facts, tally, place)
-    try:
-        fault = reading.read()
-        reading.chunk.finish()
-    except Malformed:
-        reading.forget()
-        raise
-    reading.keep()
-    return fault
+    return read_whole(_Reading(stream, record, facts, tally, place))
 
 
 def read_large_beginning(stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place) -> int:
@@ -98,8 +96,4 @@ def read_large_beginning(stream: Lookahead, record: Record, facts: BagFacts, tal
         reading = _Reading(stream, record, facts, tally, place)
     except Malformed:
         return 0
-    with suppress(Malformed):
-        reading.read()
-    reading.keep()
-    seen = reading.chunk.inner.seen
-    return stored * reading.chunk.walked // seen if seen else 0
+    return read_cut(reading, stored)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.large_chunk import LargeChunk
+from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.chunks import ChunkHead, read_definition, read_large_message, tell
@@ -83,15 +81,7 @@ def read_large_chunk(
     Raises:
         Malformed: nothing of it can be believed; nothing was added.
     """
-    reading = _Reading(stream, head, facts, tally, place)
-    try:
-        fault = reading.read()
-        reading.prove()
-    except Malformed:
-        reading.forget()
-        raise
-    reading.keep()
-    return fault
+    return read_whole(_Reading(stream, head, facts, tally, place))
 
 
 def read_large_beginning(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> int:
@@ -103,8 +93,4 @@ def read_large_beginning(stream: Lookahead, head: ChunkHead, facts: McapFacts, t
         reading = _Reading(stream, head, facts, tally, place)
     except Malformed:
         return 0
-    with suppress(Malformed):
-        reading.read()
-    reading.keep()
-    seen = reading.chunk.inner.seen
-    return stored * reading.chunk.walked // seen if seen else 0
+    return read_cut(reading, stored)
