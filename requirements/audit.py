@@ -2,8 +2,8 @@
 
 Fails for a known hole that `accepted.txt` does not list, and for an entry there that is past its day. It needs a
 service of advisories (the package index's own, else OSV): where none answers, nothing was compared. Then it says so
-and does not fail, since a hole that nobody could look up is no fault of the change at hand; a machine that is meant to reach
-one sets KLEINKRAM_REQUIRE_AUDIT=1, and there it fails. Never installs or changes anything.
+and does not fail, since a hole that nobody could look up is no fault of the change at hand; a machine that is meant to
+reach one sets KLEINKRAM_REQUIRE_AUDIT=1, and there it fails. Never installs or changes anything.
 """
 
 import datetime

@@ -70,6 +70,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         pool_timeout=_POOL_TIMEOUT_S,
         pool_pre_ping=True,
         connect_args=arguments,
+        hide_parameters=True,  # in the text of errors, which is logged
     )
     return Database(engine)
 

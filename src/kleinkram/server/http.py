@@ -32,6 +32,7 @@ from kleinkram.server.proxies import set_asker
 from kleinkram.server.settings import Settings
 
 _log = logging.getLogger("kleinkram.http")
+_LONGEST_ID = 36
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
@@ -98,8 +99,14 @@ class Envelope:
         measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
         if path.startswith(("/health", "/metrics")) and status < 500:
             return
-        fields = {"method": scope["method"], "path": scope["path"], "status": status, "request_id": request_id}
+        shown = _shown(scope["path"])
+        fields = {"method": scope["method"], "path": shown, "status": status, "request_id": request_id}
         _log.info("request", extra={"fields": {**fields, "duration_ms": round(seconds * 1000, 1)}})
+
+
+def _shown(path: str) -> str:
+    """Return a path for the log: a part that is longer than any id, such as a token put there by mistake, is cut."""
+    return "/".join(part if len(part) <= _LONGEST_ID else f"{part[:8]}…" for part in path.split("/"))
 
 
 def problem_response(error: KleinkramError, request_id: str | None) -> JSONResponse:

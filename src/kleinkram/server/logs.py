@@ -7,8 +7,11 @@ import sys
 from typing import Literal
 
 
-class _JsonLines(logging.Formatter):
+class JsonLines(logging.Formatter):
+    """Writes a record, its fields and its exception as one line."""
+
     def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
         at = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc)
         line: dict[str, object] = {
             "at": at.isoformat(timespec="milliseconds"),
@@ -26,8 +29,13 @@ def set_up_logs(log_format: Literal["json", "text"]) -> None:
     """Send this process's logs to stderr, and keep libraries that log addresses to warnings."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(
-        _JsonLines() if log_format == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
+        JsonLines() if log_format == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    for noisy in ("aiohttp", "uvicorn.access", "alembic", "procrastinate"):
+    quiet_libraries()
+
+
+def quiet_libraries() -> None:
+    """Keep libraries that log addresses, and what stands in them, to warnings."""
+    for noisy in ("aiohttp", "uvicorn.access", "alembic", "procrastinate", "httpx"):
         logging.getLogger(noisy).setLevel(logging.WARNING)

@@ -80,13 +80,15 @@ class Affiliation(BaseModel):
 class Settings(BaseSettings):
     """What one server process needs to know. Names in the environment: `KLEINKRAM_` and the name in capitals."""
 
-    model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore")
+    # What is wrong is said without what was given: it may be a password.
+    model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
     database_url: Annotated[
-        PostgresDsn, Field(description="PostgreSQL as the role that serves; no rights on the schema.")
+        PostgresDsn, Field(repr=False, description="PostgreSQL as the role that serves; no rights on the schema.")
     ]
     migration_database_url: Annotated[
-        PostgresDsn | None, Field(description="PostgreSQL as the role that owns the schema; only `migrate` needs it.")
+        PostgresDsn | None,
+        Field(repr=False, description="PostgreSQL as the role that owns the schema; only `migrate` needs it."),
     ] = None
     serving_role: Annotated[
         str, Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `database_url`, which migrations grant to.")
@@ -143,6 +145,15 @@ class Settings(BaseSettings):
             description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
         ),
     ] = ()
+    watcher_networks: Annotated[
+        tuple[Network, ...],
+        NoDecode,
+        BeforeValidator(_networks),
+        Field(
+            description="Networks, with commas between, that may read /metrics and why the server is not ready. "
+            "Default: this machine."
+        ),
+    ] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
     log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
 
     affiliations: Annotated[
