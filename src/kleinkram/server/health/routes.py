@@ -1,15 +1,19 @@
 """`/health/live`, `/health/ready`, `/metrics` and `/api/v1/service`."""
 
+import ipaddress
+
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 
 import kleinkram
+from kleinkram.contract.errors import NotFound
 from kleinkram.contract.people import ServiceRead
 from kleinkram.server import measures
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.health.readiness import missing
 from kleinkram.server.health.recent import Recent
+from kleinkram.server.settings import Settings
 
 # Probes and scrapes come without a token: whatever their number, they look no more often than this.
 _HOLDS_S = 1
@@ -25,22 +29,36 @@ async def live() -> PlainTextResponse:
 
 
 @probes.get("/health/ready")
-async def ready(request: Request, database: CurrentDatabase, storage: CurrentStorage) -> PlainTextResponse:
-    """Say whether database, schema and store are all there."""
+async def ready(
+    request: Request, database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings
+) -> PlainTextResponse:
+    """Say whether database, schema and store are all there; what is missing is for those who watch the server."""
     state = request.app.state
     if not hasattr(state, "readiness"):
         state.readiness = Recent(lambda: missing(database, storage), holds_s=_HOLDS_S)
     reason: str | None = await state.readiness.get()
-    return PlainTextResponse("ready\n") if reason is None else PlainTextResponse(f"{reason}\n", status_code=503)
+    if reason is None:
+        return PlainTextResponse("ready\n")
+    return PlainTextResponse(f"{reason if _watches(request, settings) else 'not ready'}\n", status_code=503)
 
 
 @probes.get("/metrics")
-async def metrics(request: Request, database: CurrentDatabase) -> Response:
-    """Give this process's measures in the Prometheus text format."""
+async def metrics(request: Request, database: CurrentDatabase, settings: CurrentSettings) -> Response:
+    """Give this process's measures in the Prometheus text format, to those who watch the server."""
+    if not _watches(request, settings):
+        raise NotFound(noun="page", ref="/metrics")
     state = request.app.state
     if not hasattr(state, "gauges"):
         state.gauges = Recent(lambda: measures.look(database), holds_s=_HOLDS_S)
     return Response(measures.exposition(await state.gauges.get()), media_type=CONTENT_TYPE_LATEST)
+
+
+def _watches(request: Request, settings: Settings) -> bool:
+    """Say whether a request comes from where the server is watched, and not through a proxy that hides who asks."""
+    if request.client is None or ("x-forwarded-for" in request.headers and not settings.trusted_proxies):
+        return False
+    address = ipaddress.ip_address(request.client.host)
+    return any(address in network for network in settings.watcher_networks)
 
 
 @router.get("/service", operation_id="get_service")

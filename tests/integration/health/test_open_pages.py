@@ -1,0 +1,60 @@
+"""What is for everybody: whether the server lives and is ready. Counts and reasons are for those who watch it."""
+
+import pytest
+import urllib3
+
+from kleinkram.server.access.operations import OPEN_PAGES
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+_POOL = urllib3.PoolManager(retries=False, timeout=20)
+# As if the proxy on this machine said where somebody comes from.
+_FROM_AFAR = {"X-Forwarded-For": "203.0.113.7"}
+
+
+@pytest.fixture(name="far", scope="module")
+def _far(start_api: StartApi) -> Api:
+    """An API behind a proxy that it knows, on this machine."""
+    return start_api(trusted_proxies="127.0.0.1")
+
+
+def _get(api: Api, path: str, headers: dict[str, str] | None = None) -> tuple[int, str]:
+    answer = _POOL.request("GET", api.url + path, headers=headers or {})
+    return answer.status, answer.data.decode()
+
+
+def test_counts_are_for_those_who_watch(api: Api, far: Api) -> None:
+    assert _get(api, "/metrics")[0] == 200
+    assert _get(far, "/metrics")[0] == 200
+    for asked in (api, far):  # one that does not know its proxy believes it nothing, and is careful
+        status, text = _get(asked, "/metrics", _FROM_AFAR)
+        assert (status, "kleinkram_blobs" in text) == (404, False)
+
+
+def test_networks_that_watch_are_a_setting(start_api: StartApi) -> None:
+    api = start_api(trusted_proxies="127.0.0.1", watcher_networks="203.0.113.0/24")
+    assert _get(api, "/metrics", _FROM_AFAR)[0] == 200
+    assert _get(api, "/metrics", {"X-Forwarded-For": "203.0.114.1"})[0] == 404
+    assert _get(api, "/metrics")[0] == 404
+
+
+def test_why_it_is_not_ready_is_for_those_who_watch(start_api: StartApi) -> None:
+    api = start_api()
+    api.sql("UPDATE alembic_version SET version_num = 'other'")
+    assert _get(api, "/health/ready", _FROM_AFAR) == (503, "not ready\n")
+    assert "migrations" in _get(api, "/health/ready")[1]
+
+
+def test_what_is_for_everybody_names_nothing(api: Api, sample: Sample) -> None:
+    project = api.project(name="a secret of ours")
+    mission = api.mission(project["id"], name="outing to nowhere")
+    file = sample.file(mission["id"], "unheard-of.mcap")
+    for path in (f"/projects/{project['id']}", f"/missions/{mission['id']}", f"/files/{file}"):
+        api.get(path).ok()
+    pages = [path for path in OPEN_PAGES if "{" not in path] + ["/sign-in/link", "/openapi.json", "/api/v1/auth/ways"]
+    for path in pages:
+        status, text = _get(api, path)
+        assert status == 200, path
+        for secret in ("secret of ours", "nowhere", "unheard-of", project["id"], mission["id"], file):
+            assert secret not in text, path
