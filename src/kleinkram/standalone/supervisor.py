@@ -58,6 +58,7 @@ def run(options: UpOptions) -> None:
         refuse_newer(data_dir)
         end_leftovers(data_dir)
         supervisor = Supervisor(make_plan(options))
+        _warn_of_listening(supervisor.plan)
         try:
             while True:
                 _start(supervisor, options)
@@ -105,7 +106,6 @@ class Supervisor:
         """
         plan = self.plan
         self._api_may_begin = False
-        _warn_of_listening(plan)
         # What takes long goes side by side: the store's start, PostgreSQL's, and the API's loading.
         self._launch("store", lambda: store.start(plan.store), stop_signal=store.STOP_SIGNAL)
         postgres.initialise(plan.postgres)
@@ -325,8 +325,9 @@ def _say_lost(taken: list[str]) -> None:
 def _warn_of_listening(plan: Plan) -> None:
     if not plan.listening.is_loopback and plan.listening.tls_cert is None:
         _say(
-            f"listening on {plan.listening.address} without TLS: whoever shares the network can read tokens and "
-            "recordings on their way; give --tls-cert and --tls-key unless you trust it"
+            f"listening on {plan.listening.address} without TLS: whoever shares the network can read "
+            "passwords, tokens and recordings on their way, and then act as whose they are; "
+            "give --tls-cert and --tls-key, unless you trust everybody on it"
         )
 
 
