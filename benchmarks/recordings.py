@@ -27,7 +27,8 @@ _MOST_MB = 200
 
 
 def recording_rows(folder: Path) -> list[Row]:
-    """Measure all rows; `folder` holds the files, which are made where they are missing."""
+    """Measure all rows; `folder` holds the files; it and they are made where they are missing."""
+    folder.mkdir(parents=True, exist_ok=True)
     path = folder / "large.mcap"
     if not path.exists():
         generate_mcap(path, size_bytes=1_000_000_000, seed=1)
