@@ -100,13 +100,15 @@ def test_a_guest_with_a_link_and_a_stranger(
     assert len(guest.run("file", "list", "--json").json()["items"]) == 3
     guest.run("download", "-m", "Day 1", "--dest", tmp_path / "guest")
     assert {path.name for path in (tmp_path / "guest").rglob("*.bin")} == {"0.bin", "1.bin", "2.bin"}
+    stranger = _elsewhere(terminal, tmp_path, url)
+    stranger.run("download", link, "--dest", tmp_path / "by-link")
+    assert len([*(tmp_path / "by-link").rglob("*.bin")]) == 3
     guest.run("upload", "-m", "Day 1", "-p", project, day / "0.bin", code=4)
     (row,) = terminal.run("share", "list", *place, "--json").json()["items"]
-    assert (row["name"], row["file_count"], row["download_count"]) == ("for Bob", 3, 3)
+    assert (row["name"], row["file_count"], row["download_count"]) == ("for Bob", 3, 6)
     terminal.run("share", "revoke", link)
     guest.run("file", "list", code=4)
 
-    stranger = _elsewhere(terminal, tmp_path, url)
     listed = stranger.run("project", "list", "--json")
     assert project not in {row["name"] for row in listed.json()["items"]}
     assert "only what is public" in listed.err

@@ -17,13 +17,17 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.transfer import DownloadPlan, plan_download
 from kleinkram.client.transfer.download import CONNECTIONS
 from kleinkram.client.transfer.download import download as download_files
+from kleinkram.contract.shares import is_link
 
 
 @with_choice
 def download(
     choice: Choice,
     filters: Annotated[
-        Many, typer.Argument(metavar="FILTERS", help="Paths, globs or ids of files.", show_default=False)
+        Many,
+        typer.Argument(
+            metavar="FILTERS", help="Paths, globs or ids of files; or the address of a link.", show_default=False
+        ),
     ] = None,
     dest: Annotated[Path, typer.Option("--dest", metavar="D", help="Folder to write into.")] = Path(),
     nested: Annotated[bool, typer.Option("--nested", help="Write to PROJECT/MISSION/PATH below it.")] = False,
@@ -35,10 +39,14 @@ def download(
 ) -> None:
     """Download files, each verified before it gets its name. The same command again resumes."""
     bytes_per_s = parse_rate(limit_rate)
+    links = [each for each in filters or [] if is_link(each)]
+    refs = [each for each in filters or [] if not is_link(each)]
+    if len(links) > 1:
+        raise InvalidInput(what="The command", reason="say one link at a time")
     if choice.is_empty() and not filters:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
-    with connect() as client:
-        plan = plan_download(select_files(client, choice, filters or []), dest, nested=nested)
+    with connect(*links) as client:
+        plan = plan_download(select_files(client, choice, refs), dest, nested=nested)
         say_left_out(plan.left_out)
         if not plan.targets and not plan.left_out:
             raise NothingToDo(reason="No file matches")

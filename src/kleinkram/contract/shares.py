@@ -16,6 +16,11 @@ SHARE_PAGE = "/s"
 MAX_SHARED_FILES = 10_000
 
 
+def is_link(text: str) -> bool:
+    """Say whether a text is the address of a link."""
+    return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
+
+
 class ShareCreate(BaseModel):
     """A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later."""
 

@@ -37,6 +37,7 @@ from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
+from kleinkram.server.shares.page import router as share_page
 from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
@@ -65,6 +66,7 @@ ROUTERS = (
     me_router,
     people_router,
     sign_in_pages,
+    share_page,
 )
 
 

@@ -6,6 +6,11 @@ Header = tuple[bytes, bytes]
 
 # Nothing of the API's is a page. Pages bring a policy of their own.
 API_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+# What a page of ours may do: run and fetch what is ours, nothing inline and nothing from elsewhere.
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
 _ALWAYS: Sequence[Header] = (
     (b"content-security-policy", API_POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),

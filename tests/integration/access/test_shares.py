@@ -1,10 +1,12 @@
 """Links: what one shows, and nothing beside it, by a name, a number or a recording; and how it ends."""
 
 import datetime
+import re
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
+import urllib3
 
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.secrets import is_whole
@@ -248,6 +250,20 @@ def test_its_maker_and_those_who_may_write_end_it(api: Api, outing: Outing) -> N
     api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
     assert [each["id"] for each in hers.all("/shares")] == [second], "what one made, one finds again"
     hers.delete(f"/shares/{second}").ok(204)
+
+
+def test_the_page_of_a_link_is_the_same_for_all_and_runs_only_what_is_ours(api: Api) -> None:
+    pool = urllib3.PoolManager(retries=False)
+    page = pool.request("GET", f"{api.url}/s")
+    assert page.status == 200
+    assert "default-src 'none'; script-src 'self'" in page.headers["Content-Security-Policy"]
+    sources = re.findall(r'(?:src|href)="([^"]+)"', page.data.decode())
+    assert len(sources) == 2
+    for source in sources:
+        static = pool.request("GET", api.url + source)
+        assert (static.status, len(static.data) > 100) == (200, True)
+        assert static.headers["X-Content-Type-Options"] == "nosniff"
+    assert pool.request("GET", f"{api.url}/s/static/page.py").status == 404
 
 
 def test_without_a_link_there_is_nothing_to_show(api: Api) -> None:

@@ -167,6 +167,8 @@ OPEN_PAGES = {
     "/health/live": "whether the process answers",
     "/health/ready": "whether database, schema and store are there",
     "/metrics": "counts over the whole server, for networks that the settings name",
+    "/s": "the page that a link opens, the same for all",
+    "/s/static/{name}": "its script and stylesheet",
     "/sign-in": "the page of the ways to sign in",
     "/sign-in/static/{name}": "its script and stylesheet",
     "/sign-in/{name}": "the other pages of signing in, without anything in them",

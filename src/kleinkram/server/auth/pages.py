@@ -8,14 +8,12 @@ from html import escape
 from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import KleinkramError
+from kleinkram.server.headers import PAGE_POLICY
 from kleinkram.server.settings import Settings
 
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    ),
+    "Content-Security-Policy": PAGE_POLICY,
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",

@@ -1,0 +1,47 @@
+"""The page that a link opens: the same for every link, since the server is not told the link's secret.
+
+Plain HTML, one script and one stylesheet of ours, nothing inline or from elsewhere.
+"""
+
+from functools import cache
+from importlib import resources
+
+from fastapi import APIRouter, Response
+from fastapi.responses import HTMLResponse
+
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.shares import SHARE_PAGE
+from kleinkram.server.headers import PAGE_POLICY
+
+# Not part of the API: for people, not for programs.
+router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)
+_STATIC = {"share.js": "text/javascript", "share.css": "text/css"}
+_PAGE = (
+    '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+    '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Shared · Kleinkram</title>'
+    f'<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
+    f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head>'
+    '<body><main><h1>Shared with you</h1><p id="said" role="status" hidden></p><p id="what"></p>'
+    '<table><tbody id="files"></tbody></table><button type="button" id="more" hidden>More</button>'
+    "<noscript><p>This page needs JavaScript; `klein download ADDRESS` does without.</p></noscript>"
+    "</main></body></html>"
+)
+
+
+@router.get("")
+async def page() -> HTMLResponse:
+    """Show the page of a link."""
+    return HTMLResponse(_PAGE, headers={"Content-Security-Policy": PAGE_POLICY})
+
+
+@router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """Give the page's script and stylesheet."""
+    if name not in _STATIC:
+        raise NotFound(noun="page", ref=name)
+    return Response(_read(name), media_type=_STATIC[name])
+
+
+@cache
+def _read(name: str) -> bytes:
+    return (resources.files("kleinkram.server.shares") / "static" / name).read_bytes()
