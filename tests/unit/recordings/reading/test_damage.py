@@ -11,6 +11,10 @@ from kleinkram.recordings.reading import NotARecording, Recording
 from ..memory_source import MemorySource
 from ..test_damage import MESSAGES, NAMES, PLACES, WHOLE, scanned
 
+BAG = WHOLE["bz2.bag"].data
+CHUNK_COUNT = (BAG.index(b"chunk_count=") + 12 - 13 + 0.5) / (len(BAG) - 14)
+"""The place of a byte that says how many chunks a bag has."""
+
 
 def read(data: bytes, name: str) -> tuple[int, int, dict[str, str]]:
     """Return how many messages are read, how many are left out as too late, and the problems by code."""
@@ -50,6 +54,7 @@ def damaged(name: str, how: str, place: float, length: int) -> bytes:
 @example("none.bag", "bit", 0.5827126780061346, 1065)  # a message's time becomes earlier than its chunk's
 @example("bz2.bag", "bit", 0.5477902743388547, 3386)  # a chunk that only the index can find
 @example("bz2.bag", "zeros", 0.9625780948983345, 1)  # the index lists a chunk where none stands
+@example("bz2.bag", "bit", CHUNK_COUNT, 8)  # the bag's header says one chunk less than the index lists
 @settings(max_examples=250, deadline=None)
 def test_what_a_scan_counts_is_read(name: str, how: str, place: float, length: int) -> None:
     assert_all_read(damaged(name, how, place, length), name)
