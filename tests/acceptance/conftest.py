@@ -8,13 +8,17 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
+import urllib3
 
 from kleinkram.standalone.ports import choose_port
+
+from .browser import Browser
 
 KLEIN = Path(sys.executable).parent / "klein"
 PATIENCE_S = 60.0
@@ -137,6 +141,28 @@ def project(terminal: Terminal) -> str:
     name = f"project-{uuid.uuid4().hex[:8]}"
     terminal.run("project", "create", name)
     return name
+
+
+@pytest.fixture
+def browser(terminal: Terminal) -> Iterator[Browser]:
+    """The browser of the owner of `klein up`, signed in by a one-time link."""
+    link = urlsplit(terminal.run("session", "link").out.strip())
+    url = f"{link.scheme}://{link.netloc}"
+    with urllib3.PoolManager(retries=False, timeout=20) as pool:
+        stranger = Browser(url, "", pool)
+        yield replace(stranger, cookie=stranger.sign_in("/auth/link", {"code": link.fragment}))
+
+
+@pytest.fixture
+def away(tmp_path: Path) -> Terminal:
+    """A terminal on another machine: it knows of no server."""
+    return terminal_away(tmp_path / "away")
+
+
+def terminal_away(home: Path) -> Terminal:
+    """A terminal on another machine, of whoever signs in there: it knows of no server."""
+    home.mkdir()
+    return Terminal(home, {**_environment(home, home / "none"), "BROWSER": "true"})
 
 
 def _terminal(instance: Instance, home: Path) -> Terminal:

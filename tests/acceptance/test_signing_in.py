@@ -1,76 +1,16 @@
 """Signing in from a terminal to a real `klein up`: by the browser, by a code, by a token; and out again."""
 
 import json
-import subprocess
 import uuid
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
-
-import pytest
-import urllib3
+from urllib.parse import urlsplit
 
 from kleinkram.standalone.owner_link import ask_owner_link
 
+from .browser import Browser, line_with, log_in
 from .conftest import Instance, Terminal, end
-
-
-@dataclass(frozen=True)
-class Browser:
-    """A person's browser, as far as pages use it: a cookie, and requests that say which page they come from."""
-
-    url: str
-    cookie: str
-    pool: urllib3.PoolManager
-
-    def sign_in(self, path: str, body: dict[str, Any]) -> str:
-        """Sign in as a page of the server would, and return the cookie."""
-        return str(self._ask(path, body).headers["Set-Cookie"]).partition(";")[0]
-
-    def post(self, path: str, body: dict[str, Any]) -> Any:
-        """Ask for something as a page of the server would."""
-        return json.loads(self._ask(path, body).data or b"null")
-
-    def _ask(self, path: str, body: dict[str, Any]) -> urllib3.BaseHTTPResponse:
-        headers = {"Cookie": self.cookie, "Origin": self.url, "Content-Type": "application/json"}
-        answer = self.pool.request("POST", f"{self.url}/api/v1{path}", body=json.dumps(body), headers=headers)
-        assert answer.status < 300, (answer.status, answer.data)
-        return answer
-
-    def agree_to_login(self, url: str) -> int:
-        """Open the page that `klein login` wants opened, agree on it, and go where it sends the browser."""
-        assert url.startswith(f"{self.url}/sign-in/cli?")
-        said = {name: value for name, (value,) in parse_qs(urlsplit(url).query).items()}
-        answer = self.post("/auth/cli/approve", {**said, "port": int(said["port"])})
-        return self.pool.request("GET", answer["url"]).status
-
-
-@pytest.fixture
-def browser(terminal: Terminal) -> Iterator[Browser]:
-    """The browser of the owner of `klein up`, signed in by a one-time link."""
-    link = urlsplit(terminal.run("session", "link").out.strip())
-    url = f"{link.scheme}://{link.netloc}"
-    with urllib3.PoolManager(retries=False, timeout=20) as pool:
-        stranger = Browser(url, "", pool)
-        yield replace(stranger, cookie=stranger.sign_in("/auth/link", {"code": link.fragment}))
-
-
-@pytest.fixture
-def away(other_terminal: Terminal, tmp_path: Path) -> Terminal:
-    """A terminal on another machine: it knows of no server."""
-    environment = {**other_terminal.environment, "KLEINKRAM_DATA_DIR": str(tmp_path / "none"), "BROWSER": "true"}
-    return replace(other_terminal, environment=environment)
-
-
-def line_with(process: "subprocess.Popen[str]", words: str) -> str:
-    """Return the first line on stderr that has these words."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if words in line:
-            return line.strip()
-    pytest.fail(f"klein did not say {words!r}")
 
 
 def saved(terminal: Terminal) -> Any:
@@ -79,15 +19,6 @@ def saved(terminal: Terminal) -> Any:
 
 def endpoints_file(terminal: Terminal) -> Path:
     return Path(terminal.environment["XDG_CONFIG_HOME"]) / "kleinkram" / "endpoints.json"
-
-
-def log_in(terminal: Terminal, browser: Browser, *options: str) -> Any:
-    """Sign in by the browser and return what klein says of it."""
-    process = terminal.start("login", browser.url, "--json", *options)
-    assert browser.agree_to_login(line_with(process, "/sign-in/cli?").split()[-1]) == 200
-    ran = end(process)
-    assert ran.code == 0, ran
-    return ran.json()
 
 
 def test_in_by_the_browser_and_out_again(away: Terminal, browser: Browser) -> None:
