@@ -12,7 +12,7 @@ from kleinkram import connect
 from kleinkram.client.transfer import Outcome, plan_upload
 from kleinkram.client.transfer.upload import upload as send_files
 from kleinkram.contract.errors import FileExists
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
 from tests.integration import people
 from tests.integration.running import Api
@@ -211,3 +211,13 @@ def test_a_secret_that_was_cut_or_mistyped_can_be_told(api: Api) -> None:
     assert not is_mangled(secret)
     assert [is_mangled(each) for each in (wrong, secret[:-1], secret + "x")] == [True] * 3
     assert not is_mangled("something else")
+
+
+def test_a_lost_robot_or_runner_tells_no_address_and_no_group_of_its_person(api: Api) -> None:
+    ada, project = people.person(api, email=f"{uuid.uuid4().hex}@lab.example"), api.project()
+    people.group(api, members=[ada])
+    limited = people.token(api, ada, (Scope.upload,), limits=[project["id"]], kind=TokenKind.robot)
+    runner = people.token(api, ada, (Scope.run,), kind=TokenKind.runner)
+    for secret, seen in ((ada.token, 1), (limited.secret, 0), (runner.secret, 0)):
+        me = api.as_(secret).get("/me").ok()
+        assert (len(me["emails"]), len(me["groups"])) == (seen, seen)

@@ -118,6 +118,23 @@ def test_a_reset_link_chooses_a_new_password_and_signs_all_browsers_out(api: Api
     assert {"password.reset_link", "password.reset"} <= {event["operation"] for event in api.events(made.id)}
 
 
+@pytest.mark.parametrize("how", ["deactivate", "dismiss"])
+def test_links_end_with_the_power_of_the_admin_who_made_them(api: Api, how: str) -> None:
+    leaving, victim = people.person(api, admin=True), account(api)
+    theirs = api.as_(leaving.token)
+    invitation = code_of(theirs.post("/people/invitations", {"email": any_email()}).ok(201)["url"])
+    reset = code_of(theirs.post(f"/people/{victim.id}/reset").ok(201)["url"])
+    if how == "deactivate":
+        api.post(f"/people/{leaving.id}/deactivate").ok()
+    else:
+        api.delete(f"/people/{leaving.id}/admin").ok()
+    kept = Browser(api)
+    kept.post("/auth/codes", {"code": invitation}).refused(410, "code_gone")
+    kept.post("/auth/invitation", {"code": invitation, "name": "Ghost", "password": PASSWORD}).refused(410, "code_gone")
+    kept.post("/auth/reset", {"code": reset, "password": OTHER_PASSWORD}).refused(410, "code_gone")
+    assert victim.browser.is_signed_in()
+
+
 def test_who_left_is_refused_like_a_stranger_and_their_session_has_ended(api: Api) -> None:
     made = account(api)
     reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])

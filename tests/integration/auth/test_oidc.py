@@ -153,6 +153,13 @@ def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: 
         assert "there is an account with" in lab.refuses(f"thief of {domain}", **_told(made.email))
 
 
+def test_an_address_that_was_given_to_somebody_else_does_not_open_its_former_owner_s_account(lab: Lab) -> None:
+    email = any_email()
+    former = lab.sign_in("left the lab", **_told(email)).me()["person"]["id"]
+    assert "as somebody else" in lab.refuses("came later", **_told(email))
+    assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", former) == [(1,)]
+
+
 def test_one_links_a_provider_oneself_when_signed_in(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("mine", email="me@private.example", email_verified=True)
@@ -195,6 +202,15 @@ def test_who_is_invited_gets_one_where_nobody_else_does(start_api: StartApi, lab
     invited.api.post("/people/invitations", {"email": email.upper()}).ok(201)
     assert invited.sign_in("guest", **_told(email)).me()["emails"] == [email]
     assert "by invitation" in invited.refuses("another", **_told(any_email()))
+
+
+def test_an_invitation_ends_with_the_power_of_whoever_made_it(start_api: StartApi, lab: Lab) -> None:
+    settings = _provider("lab", lab.provider.url, open_to=OpenTo.invited)
+    invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
+    email, leaving = any_email(), people.person(invited.api, admin=True)
+    invited.api.as_(leaving.token).post("/people/invitations", {"email": email}).ok(201)
+    invited.api.post(f"/people/{leaving.id}/deactivate").ok()
+    assert "by invitation" in invited.refuses("ghost", **_told(email))
 
 
 def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: StartApi, lab: Lab) -> None:

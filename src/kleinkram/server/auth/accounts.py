@@ -1,12 +1,13 @@
 """Whose account a provider's word opens: one person is one account, under as many identities as they linked to it.
 
 An identity that is known opens its account. One that is not is linked to the account of its address only where the
-provider verified that address and the settings trust it for that domain; else the person links it, signed in.
+provider verified that address, the settings trust it for that domain, and the provider does not know that account's
+owner as somebody else: addresses are given to new people. Else the person links it, signed in.
 """
 
 import uuid
 
-from sqlalchemy import func, insert, select, update
+from sqlalchemy import exists, func, insert, select, update
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
 from kleinkram.contract.emails import check_email, email_domain, email_key
@@ -15,6 +16,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.audit.service import Event, record
+from kleinkram.server.auth.codes import good_still
 from kleinkram.server.auth.providers import Vouched
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import OidcProvider, OpenTo
@@ -46,6 +48,11 @@ async def open_account(db: Connection, asker: Actor, *, vouched: Vouched, provid
             reason=f"there is an account with {address} here, and {provider.title}'s word alone does not open it. "
             f"Sign in as you did before, then add {provider.title} to your account: "
             "“Link another way to sign in” on the sign-in page."
+        )
+    if await _is_known_to(db, owner, provider):
+        raise SignInRefused(
+            reason=f"{provider.title} knows the owner of the account with {address} here as somebody else: an address "
+            "that was given to another person does not open it. Ask one of this server's admins."
         )
     await _link(db, asker, person_id=owner, vouched=vouched, provider=provider)
     return owner
@@ -93,6 +100,12 @@ async def _owner_of(db: Connection, address: str | None) -> uuid.UUID | None:
     stmt = select(person_email.c.person_id).where(person_email.c.email_key == email_key(address))
     owner: uuid.UUID | None = (await db.execute(stmt)).scalar_one_or_none()
     return owner
+
+
+async def _is_known_to(db: Connection, person_id: uuid.UUID, provider: OidcProvider) -> bool:
+    """Say whether somebody has signed in by a provider, which knows one person by one identity."""
+    theirs = exists().where(identity.c.person_id == person_id, identity.c.issuer == provider.issuer)
+    return bool((await db.execute(select(theirs))).scalar_one())
 
 
 async def _prove(db: Connection, person_id: uuid.UUID, address: str | None, provider: OidcProvider) -> None:
@@ -149,8 +162,7 @@ def _see_that_it_is_open(vouched: Vouched, provider: OidcProvider, proven: str |
 async def _take_invitations(db: Connection, address: str) -> bool:
     """Use up the invitations to an address; says whether there was one."""
     open_still = (
-        one_time_code.c.used_at.is_(None),
-        one_time_code.c.expires_at > func.now(),
+        *good_still(),
         one_time_code.c.purpose == CodePurpose.invitation.value,
         func.lower(one_time_code.c.email) == email_key(address),
     )

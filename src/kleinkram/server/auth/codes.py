@@ -1,4 +1,7 @@
-"""Codes that are good once: links to sign in, to an account, to a new password; the code that makes the first admin."""
+"""Codes that are good once: links to sign in, to an account, to a new password; the code that makes the first admin.
+
+What an admin hands out ends with their power: whoever leaves must not come back by a link that they kept.
+"""
 
 import datetime
 import secrets
@@ -6,14 +9,15 @@ import uuid
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, exists, func, insert, select, update
 
 from kleinkram.contract.accounts import CodeRead, OneTimeLink
 from kleinkram.contract.errors import CodeGone
-from kleinkram.server.access.actor import secret_hash
+from kleinkram.server.access.actor import secret_hash, unexpired
+from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import one_time_code, person
+from kleinkram.server.tables import membership, one_time_code, person
 from kleinkram.server.tables.signing_in import CodePurpose
 
 _SECRET_BYTES = 32
@@ -71,7 +75,7 @@ async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> Row[Any
     """Use a code up, if this transaction is kept, and return its row.
 
     Raises:
-        CodeGone: there is none like that, it was used, or its time is over.
+        CodeGone: there is none like that, it was used, its time is over, or who made it may make none any more.
     """
     stmt = update(one_time_code).where(*_is_good(secret), one_time_code.c.purpose == purpose.value)
     row = (await db.execute(stmt.values(used_at=func.now()).returning(*one_time_code.c))).one_or_none()
@@ -84,7 +88,7 @@ async def look_at_code(db: Connection, secret: str) -> CodeRead:
     """Return for whom a code is, without using it up.
 
     Raises:
-        CodeGone: there is none like that, it was used, or its time is over.
+        CodeGone: there is none like that, it was used, its time is over, or who made it may make none any more.
     """
     columns = one_time_code.c.purpose, one_time_code.c.email, one_time_code.c.name, person.c.name.label("person_name")
     stmt = select(*columns).outerjoin(person, person.c.id == one_time_code.c.person_id).where(*_is_good(secret))
@@ -94,6 +98,19 @@ async def look_at_code(db: Connection, secret: str) -> CodeRead:
     return CodeRead(purpose=row.purpose, name=row.name or row.person_name, email=row.email)
 
 
-def _is_good(secret: str) -> tuple[Any, ...]:
-    unused = one_time_code.c.used_at.is_(None), one_time_code.c.expires_at > func.now()
-    return (one_time_code.c.secret_sha256 == secret_hash(secret), *unused)
+def good_still() -> tuple[ColumnElement[bool], ...]:
+    """Say of codes that they were not used, their time is not over, and who made them may still do that."""
+    maker = person.alias("maker")
+    is_admin = exists().where(
+        maker.c.id == one_time_code.c.created_by_id,
+        maker.c.deactivated_at.is_(None),
+        membership.c.person_id == maker.c.id,
+        membership.c.group_id == ADMINS_ID,
+        unexpired(membership.c.expires_at),
+    )
+    may_still = one_time_code.c.created_by_id.is_(None) | is_admin.correlate(one_time_code)
+    return one_time_code.c.used_at.is_(None), one_time_code.c.expires_at > func.now(), may_still
+
+
+def _is_good(secret: str) -> tuple[ColumnElement[bool], ...]:
+    return (one_time_code.c.secret_sha256 == secret_hash(secret), *good_still())

@@ -6,7 +6,7 @@ from kleinkram.contract.accounts import IdentityRead
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.contract.rights import GroupKind
 from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
-from kleinkram.server.access.actor import Actor, unexpired
+from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_group, identity, membership, person_email, session
 from kleinkram.server.tokens.service import get_token
@@ -15,11 +15,14 @@ from kleinkram.server.tokens.service import get_token
 async def get_me(db: Connection, actor: Actor) -> MeRead:
     """Return who asks, and what their credential is good for.
 
+    Addresses and groups are told to people alone: a robot's or a runner's token may be lost with its machine.
+
     Raises:
         NotAuthenticated: nobody with an account.
     """
     if actor.ref is None:
         raise NotAuthenticated(reason="this takes an account")
+    is_oneself = actor.limits is None and actor.kind is ActorKind.person
     emails = select(person_email.c.email).where(
         person_email.c.person_id == actor.person_id, person_email.c.verified_at.is_not(None)
     )
@@ -34,8 +37,8 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
     )
     return MeRead(
         person=actor.ref,
-        emails=sorted((await db.execute(emails)).scalars()),
-        groups=sorted((await db.execute(groups)).scalars()),
+        emails=sorted((await db.execute(emails)).scalars()) if is_oneself else [],
+        groups=sorted((await db.execute(groups)).scalars()) if is_oneself else [],
         is_admin=actor.is_admin,
         credential=await _credential(db, actor),
     )
