@@ -19,7 +19,7 @@ from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.loopback import Loopback
 from kleinkram.client.me import Me
 from kleinkram.client.saved_endpoints import normal_url
-from kleinkram.contract.errors import NotAuthenticated, SignInExpired, SignInPending, SlowDown
+from kleinkram.contract.errors import NotAuthenticated, RateLimited, SignInExpired, SignInPending, SlowDown
 from kleinkram.contract.signing_in import CliExchange, DeviceBegin, DeviceCode, DeviceExchange, MeRead, SignedIn
 
 # How long somebody may take over the page in the browser; the server's codes live no longer.
@@ -86,6 +86,9 @@ def wait_for_device(url: str, code: DeviceCode, wait: Callable[[float], object] 
                 interval_s = max(interval_s, pending.interval_s)
             except SlowDown as slower:
                 interval_s = max(interval_s, slower.interval_s)
+            except RateLimited as limited:
+                wait(limited.retry_after_s)
+                left_s -= limited.retry_after_s
             except ServerUnreachable:
                 interval_s = min(interval_s * 2, _LONGEST_INTERVAL_S)
     raise SignInExpired

@@ -16,6 +16,7 @@ from kleinkram.client.signing_in import begin_browser, begin_device, end_token, 
 from kleinkram.contract.errors import (
     KleinkramError,
     NotAuthenticated,
+    RateLimited,
     SignInDenied,
     SignInExpired,
     SignInPending,
@@ -65,10 +66,11 @@ def test_a_code_is_asked_for_by_a_stranger() -> None:
 
 def test_a_device_waits_as_long_as_it_is_told_to() -> None:
     waited: list[float] = []
-    said = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), None, SIGNED_IN]
+    limited = RateLimited(what="sign-ins", most=10, per_s=60, retry_after_s=7)
+    said = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), limited, None, SIGNED_IN]
     with scripted(*said) as server:
         assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN
-    assert waited == [5, 5, 10, 10, 20], "not sooner after it was slowed down, and longer while nobody answers"
+    assert waited == [5, 5, 10, 10, 7, 10, 20], "not sooner after it was slowed down, longer while nobody answers"
     assert {(asked.path, asked.body["device_code"]) for asked in server.asked} == {
         ("/api/v1/auth/device/token", CODE.device_code)
     }

@@ -1,0 +1,47 @@
+"""What docs/sign-in.md says of settings is what the settings take."""
+
+import json
+import re
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from kleinkram.server.settings import Affiliation, OidcProvider, OpenTo
+
+DOCS = Path(__file__).parents[3] / "docs"
+SIGN_IN = (DOCS / "sign-in.md").read_text()
+
+
+def example(page: str, variable: str) -> str:
+    found = re.search(rf"export {variable}='(.*?)'", page, re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def test_the_provider_that_is_set_up_step_by_step_is_understood() -> None:
+    (provider,) = TypeAdapter(tuple[OidcProvider, ...]).validate_json(example(SIGN_IN, "KLEINKRAM_OIDC_PROVIDERS"))
+    assert f"/sign-in/callback/{provider.name}`" in SIGN_IN, "the redirect URI has the provider's name"
+    assert provider.trusts("lab.example")
+    assert not provider.trusts("students.lab.example")
+
+
+def test_every_field_of_a_provider_is_named_and_no_other() -> None:
+    told = SIGN_IN.partition("All fields of a provider:")[2].partition("Several providers")[0]
+    names = set(re.findall(r"`([a-z_]+)`", told)) - {"client_secret_basic", "client_secret_post", "none"}
+    assert names == set(OidcProvider.model_fields)
+    assert all(f"`{way.value}`" in SIGN_IN for way in OpenTo)
+
+
+def test_every_issuer_in_the_table_is_one_that_is_taken() -> None:
+    table = SIGN_IN.partition("| provider | `issuer`")[2].partition("\n\n")[0]
+    issuers = re.findall(r"`(https://[^`]+)`", table)
+    assert len(issuers) >= 7
+    for issuer in issuers:
+        fields = {"name": "x", "title": "X", "issuer": issuer, "client_id": "kleinkram"}
+        assert OidcProvider.model_validate(fields).issuer == issuer
+
+
+def test_the_affiliations_of_the_access_page_are_understood() -> None:
+    text = example((DOCS / "access.md").read_text(), "KLEINKRAM_AFFILIATIONS")
+    (affiliation,) = TypeAdapter(tuple[Affiliation, ...]).validate_python(json.loads(text))
+    assert affiliation.domains == ("lab.example",)
