@@ -136,8 +136,7 @@ def name_for(url: str, saved: SavedEndpoints) -> str:
     for name, endpoint in saved.endpoints.items():
         if endpoint.url == url:
             return name
-    parts = urlsplit(url)
-    return parts.netloc.rpartition("@")[2]
+    return urlsplit(url).netloc
 
 
 def normal_url(url: str) -> str:
@@ -149,6 +148,7 @@ def normal_url(url: str) -> str:
     try:
         parts = urlsplit(url)
         usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and (parts.port is None or parts.port > 0)
+        usable = usable and not (parts.query or parts.fragment or parts.username)
     except ValueError:
         usable = False
     if not usable:

@@ -85,7 +85,13 @@ def test_a_broken_instance_is_named(local: Path) -> None:
         find_endpoint()
 
 
-@pytest.mark.parametrize("url", ["lab", "ftp://lab", "http://", "http://lab:port", "http://lab:99999"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("lab", "ftp://lab", "http://", "http://lab:port", "http://lab:99999"),
+        *("https://ada:secret@lab", "https://lab/s#klein_link_x", "https://lab?token=x"),
+    ],
+)
 def test_what_is_no_url_is_refused(url: str) -> None:
     with pytest.raises(InvalidInput):
         normal_url(url)

@@ -121,7 +121,6 @@ def test_servers_are_called_by_their_hosts() -> None:
     assert name_for("https://lab", saved) == "my lab"
     assert name_for("https://kleinkram.lab.example", saved) == "kleinkram.lab.example"
     assert name_for("http://10.0.0.3:8000", saved) == "10.0.0.3:8000"
-    assert name_for("https://ada:secret@lab:1", saved) == "lab:1"
 
 
 def test_a_token_is_not_in_what_is_printed() -> None:
