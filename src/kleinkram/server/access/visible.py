@@ -8,7 +8,22 @@ import datetime
 from collections.abc import Callable, Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, any_, case, false, func, literal, not_, or_, select, true
+from sqlalchemy import (
+    ColumnElement,
+    CompoundSelect,
+    Select,
+    and_,
+    any_,
+    case,
+    false,
+    func,
+    literal,
+    not_,
+    or_,
+    select,
+    true,
+    union_all,
+)
 
 from kleinkram.contract.rights import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
@@ -30,6 +45,7 @@ Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
 # Whoever is in one of these together knows of each other; all admins of a server need not.
 _SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
 _GROUPS = (*_SHARED, GroupKind.admins.value)
+_public = project.alias("public_project")
 
 
 def visible_projects(actor: Actor, right: Right = Right.read) -> Select[Any]:
@@ -193,10 +209,10 @@ def _granted_where(actor: Actor) -> Select[Any]:
     granted = access_grant.alias("their_grant")
     my_projects = _granted(actor, access_grant.c.project_id, Right.read)
     my_missions = _granted(actor, access_grant.c.mission_id, Right.read)
-    missions = select(mission.c.id).where(mission.c.project_id == any_(my_projects))
+    missions = select(mission.c.id).where(mission.c.project_id.in_(my_projects))
     shared = or_(
-        granted.c.project_id == any_(my_projects),
-        granted.c.mission_id == any_(my_missions),
+        granted.c.project_id.in_(my_projects),
+        granted.c.mission_id.in_(my_missions),
         granted.c.mission_id.in_(missions),
     )
     return (
@@ -222,8 +238,7 @@ def _reaches_project(actor: Actor, right: Right) -> ColumnElement[bool]:
     within = true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
     if actor.is_admin:
         return within
-    granted = project.c.id == any_(_granted(actor, access_grant.c.project_id, right))
-    return and_(within, _or_public(granted, right))
+    return and_(within, project.c.id.in_(_my_projects(actor, right)))
 
 
 def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
@@ -235,33 +250,28 @@ def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
         return within if right is Right.read else false()
     if actor.is_admin:
         return within
-    by_project = mission.c.project_id == any_(_granted(actor, access_grant.c.project_id, right))
-    by_mission = mission.c.id == any_(_granted(actor, access_grant.c.mission_id, right))
-    return and_(within, _or_public(or_(by_project, by_mission), right))
+    by_mission = mission.c.id.in_(_granted(actor, access_grant.c.mission_id, right))
+    return and_(within, or_(mission.c.project_id.in_(_my_projects(actor, right)), by_mission))
 
 
 def _reaches_file(actor: Actor, right: Right) -> ColumnElement[bool]:
     return and_(_reaches_mission(actor, right), shown_files(actor))
 
 
-def _or_public(granted: ColumnElement[bool], right: Right) -> ColumnElement[bool]:
-    return or_(granted, project.c.is_public) if right is Right.read else granted
+def _my_projects(actor: Actor, right: Right) -> Select[Any] | CompoundSelect[Any]:
+    granted = _granted(actor, access_grant.c.project_id, right)
+    return union_all(granted, select(_public.c.id).where(_public.c.is_public)) if right is Right.read else granted
 
 
 def _public_level() -> ColumnElement[int]:
     return case((project.c.is_public, Right.read.level), else_=0)
 
 
-def _my_grants(actor: Actor, *columns: ColumnElement[Any], still: Still = unexpired) -> Select[Any]:
-    return (
-        select(*columns)
-        .join_from(membership, access_grant, access_grant.c.group_id == membership.c.group_id)
-        .where(
-            membership.c.person_id == actor.person_id,
-            still(membership.c.expires_at),
-            still(access_grant.c.expires_at),
-        )
+def _my_memberships(actor: Actor, still: Still = unexpired) -> ColumnElement[Any]:
+    mine = select(membership.c.group_id).where(
+        membership.c.person_id == actor.person_id, still(membership.c.expires_at)
     )
+    return func.array(mine.correlate(None).scalar_subquery())
 
 
 def _lasting(until: datetime.datetime | None) -> Still:
@@ -270,14 +280,15 @@ def _lasting(until: datetime.datetime | None) -> Still:
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
 
 
-def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> ColumnElement[Any]:
-    # One array, found once a statement: the same plan for few grants and for many.
-    stmt = _my_grants(actor, place).where(place.is_not(None), access_grant.c.level >= right.level)
-    return func.array(stmt.scalar_subquery())
+def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[Any]:
+    # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
+    mine = (access_grant.c.group_id == any_(_my_memberships(actor))) & unexpired(access_grant.c.expires_at)
+    return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
 def _granted_level(
     actor: Actor, place: ColumnElement[bool], outer: Any, still: Still = unexpired
 ) -> ColumnElement[int]:
-    highest = _my_grants(actor, func.coalesce(func.max(access_grant.c.level), 0), still=still).where(place)
+    mine = (access_grant.c.group_id == any_(_my_memberships(actor, still))) & still(access_grant.c.expires_at)
+    highest = select(func.coalesce(func.max(access_grant.c.level), 0)).where(mine, place)
     return highest.correlate(outer).scalar_subquery()
