@@ -3,7 +3,7 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import Select, func, literal, select
+from sqlalchemy import Select, func, literal, select, union_all
 
 from kleinkram.contract.rights import Scope
 from kleinkram.server.access.actor import Actor
@@ -39,33 +39,20 @@ def hold_room(project_id: uuid.UUID) -> Select[Any]:
     return select(func.pg_advisory_xact_lock(_ROOM, key))
 
 
-def files_in(project_id: uuid.UUID) -> Select[Any]:
-    """Return the number and bytes of the files in a project."""
-    live = (mission.c.project_id == project_id, mission.c.deleted_at.is_(None), file.c.deleted_at.is_(None))
-    return _files().join(mission, mission.c.id == file.c.mission_id).where(*live)
+def used_by_project(project_id: uuid.UUID) -> Select[Any]:
+    """Return the number and bytes of the files in a project and of the uploads under way into it."""
+    return _used(select(mission.c.id).where(mission.c.project_id == project_id, mission.c.deleted_at.is_(None)))
 
 
-def uploads_into(project_id: uuid.UUID) -> Select[Any]:
-    """Return the number and bytes of the uploads under way into a project."""
-    stmt = _uploads().join(mission, mission.c.id == upload.c.mission_id)
-    return stmt.where(mission.c.project_id == project_id, mission.c.deleted_at.is_(None))
+def used_by_mission(mission_id: uuid.UUID) -> Select[Any]:
+    """Return the same of a mission, in the trash or not."""
+    return _used(select(mission.c.id).where(mission.c.id == mission_id))
 
 
-def files_of_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the number and bytes of the files of a mission."""
-    return _files().where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
-
-
-def uploads_of_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the number and bytes of the uploads under way into a mission."""
-    return _uploads().where(upload.c.mission_id == mission_id)
-
-
-def _files() -> Select[Any]:
-    amounts = (func.count().label("files"), func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes"))
-    return select(*amounts).join_from(file, blob, blob.c.id == file.c.blob_id)
-
-
-def _uploads() -> Select[Any]:
-    amounts = (func.count().label("files"), func.coalesce(func.sum(upload.c.size_bytes), 0).label("size_bytes"))
-    return select(*amounts).select_from(upload).where(upload.c.state.in_(UNDER_WAY))
+def _used(missions: Select[Any]) -> Select[Any]:
+    # By one statement, which sees an upload or the file that it became, never neither.
+    files = select(blob.c.size_bytes).join_from(file, blob, blob.c.id == file.c.blob_id)
+    uploads = select(upload.c.size_bytes).where(upload.c.state.in_(UNDER_WAY), upload.c.mission_id.in_(missions))
+    live = files.where(file.c.deleted_at.is_(None), file.c.mission_id.in_(missions))
+    each = union_all(live, uploads).subquery("each")
+    return select(func.count().label("files"), func.coalesce(func.sum(each.c.size_bytes), 0).label("size_bytes"))

@@ -35,7 +35,7 @@ async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, a
     if asked.files == 0 or (row.quota_bytes is None and row.quota_files is None):
         return
     await db.execute(queries.hold_room(project_id))
-    used = await _sum(db, queries.files_in(project_id), queries.uploads_into(project_id))
+    used = await _amount(db, queries.used_by_project(project_id))
     _see_that_it_fits(row, "files", asked=asked.files, used=used.files, quota=row.quota_files)
     _see_that_it_fits(row, "bytes", asked=asked.size_bytes, used=used.size_bytes, quota=row.quota_bytes)
 
@@ -48,7 +48,7 @@ async def require_room_for_mission(
     Raises:
         QuotaExceeded: it has not.
     """
-    asked = await _sum(db, queries.files_of_mission(mission_id), queries.uploads_of_mission(mission_id))
+    asked = await _amount(db, queries.used_by_mission(mission_id))
     await require_room(db, actor, project_id=project_id, asked=asked)
 
 
@@ -58,9 +58,9 @@ async def project_of(db: Connection, mission_id: uuid.UUID) -> uuid.UUID:
     return project_id
 
 
-async def _sum(db: Connection, *amounts: Select[Any]) -> Amount:
-    rows = [(await db.execute(each)).one() for each in amounts]
-    return Amount(sum(row.files for row in rows), sum(int(row.size_bytes) for row in rows))
+async def _amount(db: Connection, statement: Select[Any]) -> Amount:
+    row = (await db.execute(statement)).one()
+    return Amount(row.files, int(row.size_bytes))
 
 
 def _see_that_it_fits(row: Row[Any], unit: str, *, asked: int, used: int, quota: int | None) -> None:

@@ -19,7 +19,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
-from kleinkram.server.access.actor import Actor, contained
+from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
@@ -185,8 +185,6 @@ async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate) -> datetime
 
 
 def _see_that_it_is_no_wider(actor: Actor, wanted: TokenCreate) -> None:
-    beyond = contained(wanted.chosen_scopes) - actor.scopes
-    if beyond:
-        raise TokenTooWide(reason=f"it lacks the scope {', '.join(sorted(scope.value for scope in beyond))} itself")
+    # Of scopes none can be beyond its own: to make tokens takes the one that contains all.
     if actor.limits is not None and not wanted.is_limited:
         raise TokenTooWide(reason="it is limited itself; limit the new one to what it reaches")
