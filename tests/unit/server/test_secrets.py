@@ -1,0 +1,37 @@
+"""Secrets: what a scanner finds is what is given out, and the page says how to find it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from kleinkram.contract.secrets import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
+from kleinkram.server.access.secrets import new_secret
+
+
+@pytest.mark.parametrize("kind", SecretKind)
+def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
+    secrets = [new_secret(kind) for _ in range(200)]
+    assert len({secret.text for secret in secrets}) == 200
+    for secret in secrets:
+        assert re.findall(PATTERN, f"token='{secret.text}',") == [secret.text]
+        assert is_whole(secret.text)
+        assert len(secret.prefix) == len(f"klein_{kind.value}_") + 4
+        assert secret.text not in repr(secret)
+
+
+def test_the_checksum_is_the_one_that_is_written_down() -> None:
+    # CRC-32 of "123456789" is 0xCBF43926 (the check value of every table of CRCs): 3421780262 in base 62.
+    assert with_checksum("123456789") == "1234567893jZRME"
+
+
+def test_any_one_character_that_differs_is_seen() -> None:
+    secret = new_secret(SecretKind.robot).text
+    begin = len("klein_robot_")
+    for place in range(begin, len(secret)):
+        other = "A" if secret[place] != "A" else "B"
+        assert is_mangled(secret[:place] + other + secret[place + 1 :])
+
+
+def test_the_page_says_the_pattern() -> None:
+    assert PATTERN in (Path(__file__).parents[3] / "docs" / "tokens.md").read_text()
