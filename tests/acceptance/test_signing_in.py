@@ -144,6 +144,7 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     me = terminal.run("whoami", "--json").json()
     assert (me["person"]["name"], me["is_admin"], me["endpoint"]) == ("owner", True, "local")
     assert "klein down" in terminal.run("logout", code=2).err
+    assert "klein session link" in terminal.run("login", code=2).err
     told = instance.told()
     token = Path(told["token_file"]).read_text().strip()
     shown = ask_owner_link(told["local_url"], token)  # what a terminal is shown

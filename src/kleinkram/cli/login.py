@@ -55,8 +55,13 @@ def login(
 
 
 def _server(url: str | None) -> str:
-    given = url or os.environ.get(URL_VARIABLE)
-    return normal_url(given) if given else find_endpoint().url
+    if given := url or os.environ.get(URL_VARIABLE):
+        return normal_url(given)
+    used = find_endpoint()
+    if used.source is EndpointSource.local:
+        reason = "the server in use runs on this machine and knows you by a file; give a URL to sign in elsewhere"
+        raise InvalidInput(what="klein login", reason=f"{reason}, or `klein session link` to a browser")
+    return used.url
 
 
 def _warn_of_plain_http(server: str) -> None:
