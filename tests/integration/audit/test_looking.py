@@ -96,3 +96,15 @@ def test_without_the_power_or_for_what_is_not_there_nothing_is_noted(own: Api) -
     own.as_(admin.token).get("/projects/00000000-0000-4000-8000-000000000000").refused(404, "not_found")
     own.as_(admin.token).get("/projects/x").refused(422, "invalid_request")
     assert _looks(own, admin) == []
+
+
+def test_a_limited_token_s_looks_are_those_within_its_limits(own: Api) -> None:
+    here, there = own.project()["id"], own.project()["id"]
+    admin = people.person(own, admin=True)
+    asked = own.as_(people.token(own, admin.id, limits=[here]).secret)
+    asked.get(f"/projects/{there}").refused(404, "not_found")
+    asked.get(f"/groups/{admin.group_id}")
+    assert _looks(own, admin) == []
+    asked.get(f"/projects/{here}").ok()
+    asked.get("/files").ok()
+    assert _looks(own, admin) == [("project", here), ("server", "list_files")]

@@ -10,7 +10,7 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Select, Text, Uuid, cast, exists, func, insert, literal, null, select, true
+from sqlalchemy import ColumnElement, Select, Text, Uuid, cast, exists, func, insert, literal, null, select, true
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.rights import Right
@@ -18,14 +18,16 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.access.visible import level_on_mission, level_on_project
 from kleinkram.server.audit.places import Named, whereabouts
-from kleinkram.server.db import Database
-from kleinkram.server.tables import audit_event, membership, project
+from kleinkram.server.db import Database, among
+from kleinkram.server.tables import audit_event, membership, mission, project
 
 LOOK = "admin.look"
 _NOTED_EVERY = datetime.timedelta(hours=1)
 _ASKED_EVERY_S = 60
 _REMEMBERED = 10_000
 _PEOPLE = frozenset({"list_people", "list_groups", "get_person", "get_group", "list_group_members"})
+# What shows nothing to whoever came without a link.
+_BY_LINK = frozenset({"get_share"})
 _WHERE = ("noun", "noun_id", "noun_name", "project_id", "mission_id")
 _Key = tuple[uuid.UUID | None, Named | str, int]
 
@@ -61,24 +63,36 @@ class Looks:
 
 
 def _is_a_look(operation: str) -> bool:
-    return OPERATIONS[operation].on is not On.nothing or operation in _PEOPLE
+    need = OPERATIONS[operation]
+    return (need.on is not On.nothing or operation in _PEOPLE) and operation not in _BY_LINK
 
 
 def _foreign(admin: Actor, operation: str, of: Named | None, level: int) -> Select[Any]:
     """Return what an admin is about to see by their power, as the record names it; no row where it takes none."""
     own = admin.without_power()
-    need = OPERATIONS[operation]
-    if of is None or need.on is On.server:
+    # A token that is limited to some places sees nothing of the server as a whole.
+    is_whole = literal(admin.limits is None)
+    if OPERATIONS[operation].on is On.server or (of is None and operation in _PEOPLE):
+        return _everything(operation).where(is_whole)
+    if of is None:
         return _everything(operation).where(
-            true() if need.on is On.server or operation in _PEOPLE else _other(own, level)
+            exists(_within(admin, select(project.c.id)).where(level_on_project(own) < level))
         )
     found = whereabouts(of)
     if of.kind == "person_id":
-        return found.where(literal(of.id != admin.person_id))
+        return found.where(is_whole, literal(of.id != admin.person_id))
     if of.kind == "group_id":
-        return found.where(~_is_in(admin, of.id))
-    held = level_on_project(own) if of.kind == "project_id" else level_on_mission(own)
-    return found.where(held < level)
+        return found.where(is_whole, ~_is_in(admin, of.id))
+    if of.kind == "project_id":
+        return _within(admin, found).where(level_on_project(own) < level)
+    return _within(admin, found, mission.c.id).where(level_on_mission(own) < level)
+
+
+def _within(admin: Actor, stmt: Select[Any], mission_id: ColumnElement[Any] | None = None) -> Select[Any]:
+    if admin.limits is None:
+        return stmt
+    of_project = among(project.c.id, admin.limits.project_ids)
+    return stmt.where(of_project if mission_id is None else of_project | among(mission_id, admin.limits.mission_ids))
 
 
 def _everything(operation: str) -> Select[Any]:
@@ -90,10 +104,6 @@ def _everything(operation: str) -> Select[Any]:
         nowhere.label("project_id"),
         nowhere.label("mission_id"),
     )
-
-
-def _other(own: Actor, level: int) -> Any:
-    return exists(select(project.c.id).where(level_on_project(own) < level))
 
 
 def _is_in(admin: Actor, group_id: uuid.UUID) -> Any:

@@ -42,8 +42,10 @@ class Refusal:
 
     @property
     def who(self) -> Actor:
-        """Whoever it was."""
-        return self.actor or STRANGER.asking("", request_id=self.request_id, address=self.address)
+        """Whoever it was; whatever power they have, it did not help."""
+        if self.actor is not None:
+            return self.actor.without_power()
+        return STRANGER.asking("", request_id=self.request_id, address=self.address)
 
 
 class Refusals:

@@ -40,7 +40,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
@@ -48,7 +48,7 @@ from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from kleinkram.server.tables import blob, file, upload
+from kleinkram.server.tables import blob, file, mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, content_of, decide, first_come
@@ -206,14 +206,14 @@ async def _link_twins(
         where=file.c.blob_id.in_(select(blob.c.id).where(blob.c.state.in_(UNREADABLE))),
     )
     made = {row.path: row.id for row in await db.execute(statement.returning(file.c.path, file.c.id))}
-    mission = await missions.get_mission_row(db, actor, mission_id)
+    project_id = (await missions.get_mission_row(db, actor, mission_id)).project_id
     events = [
         Event(
             "file.link",
             "file",
             made[d.wanted.path],
             d.wanted.path,
-            mission.project_id,
+            project_id,
             after={"sha256": d.wanted.sha256},
             mission_id=mission_id,
         )
@@ -295,7 +295,15 @@ async def abort_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> Non
         if upload_id not in rows:
             raise NotFound(noun="upload", ref=str(upload_id))
         still_open = (upload.c.id == upload_id) & (upload.c.state == UploadState.open.value)
-        await db.execute(update(upload).where(still_open).values(state=UploadState.aborted.value))
+        ended = update(upload).where(still_open).values(state=UploadState.aborted.value)
+        if (await db.execute(ended.returning(upload.c.id))).first() is not None:
+            await record(db, actor, await _aborted(db, rows[upload_id]))
+
+
+async def _aborted(db: Connection, row: Row[Any]) -> Event:
+    of_mission = select(mission.c.project_id).where(mission.c.id == row.mission_id)
+    project_id: uuid.UUID = (await db.execute(of_mission)).scalar_one()
+    return Event("upload.abort", "upload", row.id, row.path, project_id, mission_id=row.mission_id)
 
 
 async def get_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:

@@ -1,0 +1,126 @@
+"""Every operation that changes something says what it writes into the record, and writes it."""
+
+import uuid
+
+import pytest
+
+from kleinkram.server.access.operations import OPERATIONS
+from tests.integration.access import world as worlds
+from tests.integration.access.callers import CALLERS
+from tests.integration.access.world import Asker, World
+from tests.integration.conftest import StartApi
+
+# What an operation writes; in brackets what no way to call it in the matrix comes to; tests of that operation do.
+WRITES: dict[str, set[str]] = {
+    "create_project": {"project.create"},
+    "update_project": {"[project.update]"},
+    "publish_project": {"project.update"},
+    "set_project_quota": {"project.set_quota"},
+    "delete_project": {"[project.delete]"},
+    "create_mission": {"mission.create"},
+    "update_mission": {"[mission.update]"},
+    "move_mission": {"mission.leave", "mission.arrive"},
+    "delete_mission": {"[mission.delete]"},
+    "download_files": {"file.download"},
+    "prove_file": {"file.prove"},
+    "update_file": {"[file.update]"},
+    "move_file": {"file.leave", "file.arrive"},
+    "delete_file": {"[file.delete]"},
+    "complete_uploads": {"[file.upload]", "[file.mend]"},
+    "abort_upload": {"upload.abort"},
+    "restore_from_trash": {"project.restore", "mission.restore", "file.restore"},
+    "create_project_grant": {"grant.give"},
+    "create_mission_grant": {"grant.give"},
+    "update_project_grant": {"[grant.change]"},
+    "update_mission_grant": {"[grant.change]"},
+    "delete_project_grant": {"grant.revoke"},
+    "delete_mission_grant": {"grant.revoke"},
+    "create_group": {"group.create"},
+    "update_group": {"group.rename"},
+    "delete_group": {"group.delete"},
+    "set_group_member": {"group.member"},
+    "remove_group_member": {"group.member"},
+    "make_admin": {"person.make_admin"},
+    "unmake_admin": {"[person.unmake_admin]"},
+    "deactivate_person": {"person.deactivate", "token.revoke"},
+    "reactivate_person": {"[person.reactivate]"},
+    "invite_person": {"invitation.create"},
+    "create_reset_link": {"password.reset_link"},
+    "create_token": {"token.create"},
+    "revoke_token": {"token.revoke"},
+    "create_share": {"share.create"},
+    "revoke_share": {"share.revoke"},
+    "end_session": {"session.revoke"},
+    "end_all_sessions": {"[session.revoke]"},
+    "change_password": {"[password.change]"},
+    "link_provider": {"[identity.link]"},
+    "create_owner_link": {"[link.create]"},
+    "approve_cli_login": {"[login.approve]"},
+    "approve_device_login": {"[login.approve]"},
+    "deny_device_login": {"[login.deny]"},
+    "sign_in_by_password": {"[session.create]"},
+    "sign_in_by_link": {"[session.create]"},
+    "accept_invitation": {"[person.create]", "[session.create]"},
+    "reset_password": {"[password.reset]", "[session.create]"},
+    "claim_server": {"[server.claim]", "[session.create]"},
+    "end_provider_sign_in": {"[session.create]", "[person.create]"},
+    "exchange_cli_code": {"[token.create]"},
+    "exchange_device_code": {"[token.create]"},
+    "sign_out": {"[session.revoke]"},
+    # Names held for a minute and addresses to send parts to: what comes of them is written when it does.
+    "begin_uploads": {"[file.link]"},
+    "sign_parts": set(),
+    # What ends by itself within minutes, and gives nobody anything.
+    "begin_device_login": set(),
+    "begin_provider_sign_in": set(),
+    "look_at_code": set(),
+    "look_at_device_login": set(),
+}
+
+
+@pytest.fixture(scope="module")
+def world(start_api: StartApi) -> World:
+    return worlds.build(start_api(), places_each=1)
+
+
+@pytest.fixture(scope="module")
+def admin(world: World) -> Asker:
+    """Somebody whom nothing is refused."""
+    return next(by for by in world.askers if by.named.startswith("admin with"))
+
+
+def test_every_operation_that_changes_something_is_listed(world: World) -> None:
+    paths = world.api.app.openapi()["paths"]
+    changing = {
+        operation["operationId"]
+        for path in paths.values()
+        for method, operation in path.items()
+        if method in {"post", "put", "patch", "delete"}
+    }
+    # Some come in under the route of another, and say by themselves what they take.
+    under_another = {"publish_project", "set_project_quota", "move_mission", "move_file"}
+    by_get = {"end_provider_sign_in"}
+    assert changing | under_another | by_get == WRITES.keys()
+    assert WRITES.keys() <= OPERATIONS.keys()
+
+
+@pytest.mark.parametrize("operation", [name for name, written in WRITES.items() if any("[" not in w for w in written)])
+def test_an_operation_writes_what_it_did(world: World, admin: Asker, operation: str) -> None:
+    written = set()
+    for caller in CALLERS[operation]:
+        asked, request_id = caller.request(admin), uuid.uuid4().hex
+        headers = {**admin.headers, "X-Request-Id": request_id}
+        answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, headers)
+        assert answer.status < 300, answer
+        rows = world.api.sql(
+            "SELECT operation, actor_id, token_id, session_id, address FROM audit_event WHERE request_id = %s",
+            request_id,
+        )
+        if caller.undo is not None:
+            caller.undo(admin)
+        written |= {row[0] for row in rows}
+        for _, actor_id, token_id, session_id, address in rows:
+            assert actor_id is not None
+            assert token_id is not None or session_id is not None
+            assert address == "127.0.0.1"
+    assert written == {each for each in WRITES[operation] if "[" not in each}
