@@ -38,7 +38,8 @@ def root() -> Any:  # Any: which click it is, Typer's own copy or the library, i
 
 def resolve(words: list[str]) -> tuple[Any, list[str]]:
     """Return the command that words name, and the words after it."""
-    command, context, path = root(), None, []
+    command, context = root(), None
+    path: list[str] = []
     while hasattr(command, "get_command") and words and _NAME.fullmatch(words[0]):
         context = command.context_class(command, parent=context)
         found = command.get_command(context, words[0])

@@ -1,0 +1,95 @@
+"""Signing in on the command line: what is refused before anybody is asked, and what is shown of what is saved."""
+
+import datetime
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from kleinkram.cli.main import app
+from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser, NotConfigured
+from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, load_endpoints
+
+LAB = "https://lab.example"
+
+
+@pytest.fixture(autouse=True)
+def _own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("KLEINKRAM_DATA_DIR", str(tmp_path / "data"))
+    for name in ("KLEINKRAM_URL", "KLEINKRAM_TOKEN", "BROWSER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def klein(*arguments: str) -> Result:
+    return CliRunner().invoke(app, [*arguments])
+
+
+def test_one_way_at_a_time() -> None:
+    assert isinstance(klein("login", LAB, "--device", "--token").exception, InvalidInput)
+
+
+def test_which_server_must_be_known() -> None:
+    assert isinstance(klein("login").exception, NotConfigured)
+
+
+@pytest.mark.parametrize("url", ["lab", f"{LAB}/s#klein_link_x", "https://ada:secret@lab.example"])
+def test_what_is_no_server_is_refused(url: str) -> None:
+    assert isinstance(klein("login", url).exception, InvalidInput)
+
+
+def test_without_a_browser_the_other_way_is_named() -> None:
+    refused = klein("login", LAB).exception
+    assert isinstance(refused, NoBrowser)
+    assert f"klein login {LAB} --device" in str(refused)
+
+
+def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> None:
+    add_endpoint("lab", SavedEndpoint(url="https://other.example", token="t"))
+    assert isinstance(klein("login", LAB, "--name", "lab").exception, EndpointTaken)
+
+
+@pytest.mark.parametrize(
+    ("url", "is_said"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
+)
+def test_that_nothing_is_encrypted_is_said(url: str, is_said: bool) -> None:
+    assert ("not encrypted" in klein("login", url).output) == is_said
+
+
+def test_the_list_says_who_one_is_and_until_when() -> None:
+    past = datetime.datetime(2020, 1, 1, tzinfo=datetime.timezone.utc)
+    later = datetime.datetime(2100, 1, 1, tzinfo=datetime.timezone.utc)
+    add_endpoint("old", SavedEndpoint(url="https://old", token="old-secret", person="Ada", expires_at=past))
+    add_endpoint("new", SavedEndpoint(url="https://new", token="new-secret", person="Ben", expires_at=later))
+    add_endpoint("robot", SavedEndpoint(url="https://robot", token="robot-secret", person="Chloé"))
+    add_endpoint("added", SavedEndpoint(url="https://added", token="added-secret"))
+    shown = klein("endpoint", "list").output
+    rows = {line.split()[0]: line for line in shown.splitlines()}
+    assert "secret" not in shown
+    assert rows["*"].split()[1:] == ["old", "https://old", "Ada", "2020-01-01T00:00:00Z", "(expired)"]
+    assert rows["new"].split()[1:] == ["https://new", "Ben", "2100-01-01T00:00:00Z"]
+    assert rows["robot"].endswith("no end")
+    assert rows["added"].split()[1:] == ["https://added", "-", "-"]
+    told = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
+    assert {name: row["expired"] for name, row in told.items()} == {
+        "old": True,
+        "new": False,
+        "robot": False,
+        "added": False,
+    }
+
+
+def test_leaving_takes_a_server_to_leave() -> None:
+    assert isinstance(klein("logout", "lab", "--all").exception, InvalidInput)
+    assert isinstance(klein("logout").exception, NotConfigured)
+    assert klein("logout", "--all").exit_code == 0
+    assert load_endpoints().endpoints == {}
+
+
+def test_a_token_in_the_environment_is_not_kleins_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("KLEINKRAM_URL", LAB)
+    monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
+    refused = klein("logout").exception
+    assert isinstance(refused, InvalidInput)
+    assert "KLEINKRAM_TOKEN" in str(refused)
