@@ -19,6 +19,7 @@ import psutil
 from benchmarks.index_bytes import index_bytes
 from benchmarks.measure import Pairing, Run, pair, run_side
 from benchmarks.recordings import recording_rows
+from benchmarks.rights import rights_row
 from benchmarks.signing_in import sign_in_row
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
@@ -27,7 +28,7 @@ STAGE = ROOT / ".bench"
 DATA = STAGE / "data"
 KLEIN = Path(sys.executable).parent / "klein"
 GB = 1_000_000_000
-ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts", "people"}
+ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts", "people", "rights"}
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
@@ -54,6 +55,10 @@ def main() -> None:
         rows += recording_rows(STAGE / "recordings")
     if "starts" in wanted:
         rows += start_rows()
+    if "rights" in wanted:  # the last: it leaves much behind
+        with instance() as environment:
+            owner_token = (DATA / "owner-token").read_text().strip()
+            rows.append(rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"]))
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     print_table(rows)
 
@@ -76,8 +81,10 @@ def variables() -> dict[str, str]:
     homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
     # Proving goes at full speed between two runs, rather than slowly beside them;
     # and nobody is asked to wait for having asked too often.
-    unbounded = {"KLEINKRAM_PROVING_BYTES_PER_S": "2000000000", "KLEINKRAM_SIGN_INS_PER_MINUTE": "0"}
-    return {**os.environ, **homes, **unbounded, "KLEINKRAM_DATA_DIR": str(DATA)}
+    limits = ("SIGN_INS", "SEARCHES")
+    unbounded = {f"KLEINKRAM_{what}_PER_MINUTE": "0" for what in limits}
+    at_once = {"KLEINKRAM_PROVING_BYTES_PER_S": "2000000000"}
+    return {**os.environ, **homes, **at_once, **unbounded, "KLEINKRAM_DATA_DIR": str(DATA)}
 
 
 def klein(*arguments: str) -> str:

@@ -1,0 +1,82 @@
+"""What rights come to, computed in Python from what was done: no query, no clock, only the words of the issue."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+# When something ends: never, at one time that is to come, or it has ended.
+NEVER, LATER, OVER = "never", "later", "over"
+READ, CREATE, WRITE, DELETE = 1, 2, 3, 4
+ADMINS = "admins"
+
+
+@dataclass
+class Membership:
+    """Somebody's being in a group."""
+
+    ends: str = NEVER
+    is_editor: bool = False
+
+
+@dataclass
+class Grant:
+    """A right that a group was given."""
+
+    level: int
+    ends: str = NEVER
+
+
+@dataclass
+class Rights:
+    """Names stand for ids. Groups that begin with `@` are of addresses, with `~` people's own."""
+
+    active: dict[str, bool] = field(default_factory=dict)
+    members: dict[str, dict[str, Membership]] = field(default_factory=dict)
+    # (place, group) -> grant; a place is a project or a mission.
+    grants: dict[tuple[str, str], Grant] = field(default_factory=dict)
+    project_of: dict[str, str] = field(default_factory=dict)  # of each mission
+    deleted: set[str] = field(default_factory=set)
+    projects: list[str] = field(default_factory=list)
+
+    def is_admin(self, person: str) -> bool:
+        """Whether somebody sees and does all."""
+        return person in self.members[ADMINS]
+
+    def is_gone(self, place: str) -> bool:
+        """Whether a place is in the trash, by itself or with its project."""
+        return place in self.deleted or self.project_of.get(place) in self.deleted
+
+    def granted(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
+        """The highest level that somebody has on a place by grants that are not over, or that last as long."""
+        return max(
+            (grant.level for group, grant in self._on(place) if self._counts(person, group, grant, last)), default=0
+        )
+
+    def held(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
+        """What somebody may do on a place that is not in the trash."""
+        if self.is_gone(place) or not self.active[person]:
+            return 0
+        return DELETE if self.is_admin(person) else self.granted(person, place, last=last)
+
+    def is_live_member(self, person: str, group: str) -> bool:
+        """Whether somebody is in a group now."""
+        return person in self.members[group] and self.members[group][person].ends != OVER
+
+    def unowned(self) -> list[str]:
+        """The projects, in the trash too, that nobody active owns without an end other than by an address."""
+        return [project for project in self.projects if not any(self._owns(person, project) for person in self.active)]
+
+    def _owns(self, person: str, project: str) -> bool:
+        owning = (group for group, grant in self._on(project) if (grant.level, grant.ends) == (DELETE, NEVER))
+        return self.active[person] and any(
+            not group.startswith("@") and person in self.members[group] and self.members[group][person].ends == NEVER
+            for group in owning
+        )
+
+    def _on(self, place: str) -> Iterator[tuple[str, Grant]]:
+        for (where, group), grant in self.grants.items():
+            if where in (place, self.project_of.get(place)):
+                yield group, grant
+
+    def _counts(self, person: str, group: str, grant: Grant, last: tuple[str, ...]) -> bool:
+        membership = self.members[group].get(person)
+        return membership is not None and membership.ends in last and grant.ends in last
