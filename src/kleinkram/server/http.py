@@ -26,7 +26,7 @@ from kleinkram.contract.errors import (
 )
 from kleinkram.server import measures
 from kleinkram.server.audit.places import named
-from kleinkram.server.audit.refusals import Refusal, Refusals
+from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.headers import guarded
 from kleinkram.server.proxies import set_asker
 from kleinkram.server.settings import Settings
@@ -132,7 +132,7 @@ def _request_id(request: Request) -> str | None:
 async def _on_failure(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, KleinkramError):
         raise error
-    if error.status in {401, 403}:
+    if error.status in {401, 403} or error.code in ALSO_REFUSALS:
         await note_refusal(request, error)
     return problem_response(error, _request_id(request))
 
@@ -146,6 +146,7 @@ async def note_refusal(request: Request, error: KleinkramError) -> None:
     place = f"{request.method} {getattr(request.scope.get('route'), 'path', 'unmatched')}"
     refusal = Refusal(
         actor=getattr(request.state, "actor", None),
+        code=error.code,
         place=place,
         why={name: str(value) for name, value in error.fields().items()},
         address=request.client.host if request.client else None,

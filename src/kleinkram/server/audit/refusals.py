@@ -11,7 +11,7 @@ import uuid
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.errors import DatabaseUnavailable, ErrorCode
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
 from kleinkram.server.audit.places import Named, whereabouts
@@ -20,6 +20,12 @@ from kleinkram.server.db import Connection, Database
 
 PER_MINUTE = 20
 _MINUTE_S = 60
+# Refusals that have another status than 401 and 403: who asks too often, and codes that are not, or no longer, good.
+ALSO_REFUSALS = {
+    ErrorCode.rate_limited: "rate.limited",
+    ErrorCode.code_gone: "auth.refused",
+    ErrorCode.sign_in_expired: "auth.refused",
+}
 _log = logging.getLogger("kleinkram.audit")
 
 
@@ -28,6 +34,7 @@ class Refusal:
     """A request that was refused: why, by the fields of its error; by whom, as far as that is known; and from where."""
 
     actor: Actor | None
+    code: ErrorCode
     place: str
     why: Metadata
     address: str | None
@@ -37,6 +44,8 @@ class Refusal:
     @property
     def operation(self) -> str:
         """What the record calls it."""
+        if self.code in ALSO_REFUSALS:
+            return ALSO_REFUSALS[self.code]
         is_known = self.actor is not None and self.actor.kind is not ActorKind.stranger
         return "access.denied" if is_known else "auth.refused"
 

@@ -1,0 +1,79 @@
+"""Signing in and out, by whatever way, is told: who, by what, from where; and so is what failed."""
+
+from typing import Any
+
+import pytest
+
+from tests.integration.auth.accounts import account, any_email, code_of, sign_in
+from tests.integration.auth.browser import Browser
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+
+
+@pytest.fixture(scope="module")
+def api(start_api: StartApi) -> Api:
+    """An API by itself, where anybody may try as often as they like."""
+    return start_api(sign_ins_per_minute=0)
+
+
+def _latest(api: Api, operation: str) -> Any:
+    return api.get("/audit", {"operation": operation, "limit": "1"}).ok()["items"][0]
+
+
+def test_a_sign_in_and_out_are_told_with_their_session(api: Api) -> None:
+    ada = account(api)
+    made = _latest(api, "person.create")
+    assert (made["actor"], made["noun_id"], made["address"]) == (None, ada.id, "127.0.0.1")
+    browser = Browser(api)
+    sign_in(browser, ada.email)
+    began = _latest(api, "session.create")
+    assert (began["actor"]["id"], began["session_id"]) == (ada.id, began["noun_id"])
+    assert (began["after"], began["address"]) == ({"way": "password"}, "127.0.0.1")
+    browser.post("/auth/sign-out").ok(204)
+    ended = _latest(api, "session.revoke")
+    assert (ended["noun_id"], ended["actor"]["id"]) == (began["noun_id"], ada.id)
+
+
+def test_a_failed_sign_in_is_told_without_what_was_typed(api: Api) -> None:
+    typed = any_email()
+    Browser(api).post("/auth/password", {"email": typed, "password": "not the right one"}).refused(
+        401, "sign_in_failed"
+    )
+    event = _latest(api, "auth.refused")
+    assert (event["noun_name"], event["address"]) == ("POST /api/v1/auth/password", "127.0.0.1")
+    assert typed not in str(event)
+
+
+def test_the_owner_s_link_and_its_use_are_told(api: Api) -> None:
+    link = code_of(api.post("/auth/owner-link").ok()["url"])
+    made = _latest(api, "link.create")
+    assert (made["actor"]["name"], made["token"]["name"]) == ("owner", "local owner")
+    Browser(api).post("/auth/link", {"code": link}).ok()
+    assert _latest(api, "session.create")["after"] == {"way": "link"}
+
+
+@pytest.mark.parametrize(("act", "told"), [("approve", "login.approve"), ("deny", "login.deny")])
+def test_what_was_said_to_a_program_is_told(api: Api, act: str, told: str) -> None:
+    ada = account(api)
+    shown = api.as_(None).post("/auth/device", {"client": "klein on anymal"}).ok()["user_code"]
+    ada.browser.post(f"/auth/device/{act}", {"user_code": shown}).ok()
+    event = _latest(api, told)
+    assert (event["actor"]["id"], event["noun_name"]) == (ada.id, "klein on anymal")
+    assert event["session_id"] is not None
+
+
+def test_too_many_tries_are_refused_and_told(start_api: StartApi) -> None:
+    api = start_api(sign_ins_per_minute=2)
+    wrong = {"email": any_email(), "password": "not the right one"}
+    answers = [Browser(api).post("/auth/password", wrong) for _ in range(5)]
+    assert {answer.status for answer in answers} == {401, 429}
+    assert _latest(api, "rate.limited")["noun_name"] == "POST /api/v1/auth/password"
+
+
+def test_a_code_that_was_used_is_told(api: Api) -> None:
+    link = code_of(api.post("/auth/owner-link").ok()["url"])
+    Browser(api).post("/auth/link", {"code": link}).ok()
+    Browser(api).post("/auth/link", {"code": link}).refused(410, "code_gone")
+    event = _latest(api, "auth.refused")
+    assert (event["noun_name"], event["actor"]) == ("POST /api/v1/auth/link", None)
+    assert link not in str(event)
