@@ -1,0 +1,36 @@
+// A real OpenID provider (npm oidc-provider) for tests. Its one argument is JSON: port, redirect_uri, client_id,
+// client_secret, kid (whose key is new with every start), late_s (how late its clock is). Says "ready" when it is.
+import { generateKeyPair, exportJWK } from "jose";
+import { Provider } from "oidc-provider";
+
+const asked = JSON.parse(process.argv[2]);
+const now = Date.now;
+Date.now = () => now() - asked.late_s * 1000;
+
+const { privateKey } = await generateKeyPair("RS256", { extractable: true });
+const key = { ...(await exportJWK(privateKey)), kid: asked.kid, alg: "RS256", use: "sig" };
+const day = 24 * 3600;
+const issuer = `http://127.0.0.1:${asked.port}`;
+const provider = new Provider(issuer, {
+  clients: [
+    {
+      client_id: asked.client_id,
+      client_secret: asked.client_secret,
+      redirect_uris: [asked.redirect_uri],
+      response_types: ["code"],
+      grant_types: ["authorization_code"],
+    },
+  ],
+  jwks: { keys: [key] },
+  pkce: { required: () => true },
+  cookies: { keys: ["only for tests"] },
+  claims: { openid: ["sub"], email: ["email", "email_verified"], profile: ["name"] },
+  // What the browser keeps must outlast a clock that is late; what is signed must not.
+  ttl: { Interaction: day, Session: day, Grant: day, AuthorizationCode: 60, AccessToken: 3600, IdToken: 3600 },
+  features: { devInteractions: { enabled: true } },
+  findAccount: (_context, id) => ({
+    accountId: id,
+    claims: () => ({ sub: id, name: id, email: `${id}@lab.example`, email_verified: true }),
+  }),
+});
+provider.listen(asked.port, "127.0.0.1", () => console.log("ready"));

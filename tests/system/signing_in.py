@@ -1,0 +1,174 @@
+"""A real OpenID provider (npm `oidc-provider`) and a real browser (Chromium, by `playwright-core`), for tests.
+
+Both come from a folder outside of the repository, made once from the lock file in `tests/system/oidc`.
+"""
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+import pytest
+
+from kleinkram.standalone.ports import choose_port
+from tests.system.conftest import missing
+
+HERE = Path(__file__).parent / "oidc"
+CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+
+def _may_install() -> bool:
+    return os.environ.get("KLEINKRAM_TEST_INSTALL") == "1"
+
+
+@pytest.fixture(name="node", scope="session")
+def _node() -> Path:
+    """The folder with the programs of `tests/system/oidc` and what they need; skipped, or failed, without Node."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        missing("Node 20 or later is not installed (node, npm)")
+    sources = sorted(path for path in HERE.iterdir() if path.suffix in {".json", ".mjs"} or path.name == ".npmrc")
+    mark = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    folder = platformdirs.user_cache_path("kleinkram-tests") / f"oidc-{mark}"
+    if (folder / "ready").exists():
+        return folder
+    if not _may_install():
+        missing("oidc-provider and playwright-core are not installed: KLEINKRAM_TEST_INSTALL=1 installs them")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for path in sources:
+        shutil.copy(path, folder)
+    subprocess.run(["npm", "ci", "--ignore-scripts"], cwd=folder, check=True, capture_output=True)
+    (folder / "ready").touch()
+    return folder
+
+
+@dataclass
+class RealProvider:
+    """The provider's process, at one address for as long as the test takes. Whoever types a name is that person."""
+
+    node: Path
+    redirect_uri: str
+    port: int = field(default_factory=choose_port)
+    process: "subprocess.Popen[str] | None" = None
+
+    @property
+    def url(self) -> str:
+        """Its issuer."""
+        return f"http://127.0.0.1:{self.port}"
+
+    def start(self, *, late_s: int = 0) -> None:
+        """Start it anew, with a new key, and with a clock that is late."""
+        self.end()
+        asked = {"port": self.port, "redirect_uri": self.redirect_uri, "late_s": late_s, "kid": secrets.token_hex(4)}
+        asked |= {"client_id": CLIENT_ID, "client_secret": CLIENT_SECRET}
+        command = ["node", "provider.mjs", json.dumps(asked)]
+        self.process = subprocess.Popen(
+            command, cwd=self.node, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == "ready\n"
+
+    def end(self) -> None:
+        """Kill it."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.communicate()
+            self.process = None
+
+
+@dataclass
+class Chromium:
+    """A real browser. What cannot be done within seconds fails the test, and says where the browser was."""
+
+    process: "subprocess.Popen[str]"
+
+    def do(self, act: str, **how: object) -> Any:
+        """Have `drive.mjs` do something, and return what it tells."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps({"act": act, **how}) + "\n")
+        self.process.stdin.flush()
+        return self.answer()
+
+    def answer(self) -> Any:
+        """Return the driver's next answer."""
+        assert self.process.stdout is not None
+        answer = json.loads(self.process.stdout.readline())
+        assert "error" not in answer, answer["error"]
+        return answer["told"]
+
+    def goto(self, url: str) -> None:
+        """Open an address."""
+        self.do("goto", url=url)
+
+    def fill(self, name: str, value: str) -> None:
+        """Type into the field of a name."""
+        self.do("fill", selector=f"[name={name}]", value=value)
+
+    def click(self, selector: str) -> None:
+        """Click what a selector finds."""
+        self.do("click", selector=selector)
+
+    def see(self, text: str) -> None:
+        """Wait until the page says something."""
+        self.do("see", text=text)
+
+    def arrive(self, path: str) -> str:
+        """Wait until the browser is at a path; return its whole address."""
+        return str(self.do("arrive", path=path))
+
+    def text(self) -> str:
+        """Return what the page says."""
+        return str(self.do("text"))
+
+    def keep(self, pattern: str) -> None:
+        """Do not go to addresses like that from now on."""
+        self.do("keep", pattern=pattern)
+
+    def kept(self) -> str:
+        """Wait until the browser wanted to go to such an address, and return it."""
+        return str(self.do("kept"))
+
+
+@pytest.fixture(name="driver", scope="module")
+def _driver(node: Path) -> Iterator[Chromium]:
+    program = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
+    if program is None and _may_install():
+        subprocess.run(["apt-get", "install", "-y", "--no-install-recommends", "chromium"], check=True)
+        program = shutil.which("chromium")
+    if program is None:
+        missing("Chromium is not installed (Debian: chromium): KLEINKRAM_TEST_INSTALL=1 installs it")
+    process = subprocess.Popen(
+        ["node", "drive.mjs", str(program)],
+        cwd=node,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    chromium = Chromium(process)
+    try:
+        chromium.answer()
+        yield chromium
+    finally:
+        # The browser's processes with it, whatever a test that failed has it wait for.
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+@pytest.fixture(name="chromium")
+def _chromium(driver: Chromium) -> Chromium:
+    """A browser that has never been anywhere."""
+    driver.do("fresh")
+    return driver

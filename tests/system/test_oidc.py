@@ -1,0 +1,259 @@
+"""Signing in as people do it: a real OpenID provider, a real browser, `klein up`, and what goes wrong between them."""
+
+import base64
+import hashlib
+import json
+import re
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlencode, urlsplit
+
+import pytest
+import urllib3
+
+from tests.system.house import House
+from tests.system.signing_in import CLIENT_ID, CLIENT_SECRET, Chromium, RealProvider, _chromium, _driver, _node
+
+__all__ = ["_chromium", "_driver", "_node"]
+pytestmark = pytest.mark.slow
+_CALLBACK = "/sign-in/callback/lab"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A Kleinkram that trusts a provider for lab.example, and the provider."""
+
+    house: House
+    provider: RealProvider
+
+    @property
+    def url(self) -> str:
+        """The server's address."""
+        return f"http://127.0.0.1:{self.house.port}"
+
+    def ask(self, method: str, path: str, body: object = None, token: str | None = None) -> Any:
+        """Make a request of a program, as the owner unless a token is given."""
+        owner = (self.house.data_dir / "owner-token").read_text().strip()
+        headers = {"Authorization": f"Bearer {token or owner}", "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body)
+        answer = urllib3.request(method, f"{self.url}/api/v1{path}", body=data, headers=headers)
+        assert answer.status < 300, answer.data
+        return json.loads(answer.data) if answer.data else None
+
+    def refusals(self) -> list[str]:
+        """Return why the last ways back from the provider were refused, latest first."""
+        events = self.ask("GET", "/audit?operation=auth.refused&limit=50")["items"]
+        return [str(each["after"]["reason"]) for each in events if _CALLBACK[:17] in each["noun_name"]]
+
+
+@pytest.fixture(name="place", scope="module")
+def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    house = House(tmp_path_factory.mktemp("oidc"))
+    provider = RealProvider(node, f"http://127.0.0.1:{house.port}{_CALLBACK}")
+    known = {"name": "lab", "title": "The Lab", "issuer": provider.url, "client_id": CLIENT_ID}
+    settings = [{**known, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}]
+    house.settings["KLEINKRAM_OIDC_PROVIDERS"] = json.dumps(settings)
+    house.settings["KLEINKRAM_SIGN_INS_PER_MINUTE"] = "0"
+    provider.start()
+    try:
+        house.start()
+        yield Place(house, provider)
+    finally:
+        house.end()
+        provider.end()
+
+
+def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
+    """Sign in at the provider as somebody, up to where it asks whether it may say so."""
+    chromium.goto(f"{place.url}/sign-in?{urlencode({'return_to': '/sign-in/account'})}")
+    chromium.click("[data-provider=lab]")
+    chromium.fill("login", name)
+    chromium.fill("password", "any")
+    chromium.click("button[type=submit]")
+    chromium.see("Authorize")
+
+
+def sign_in(place: Place, chromium: Chromium, name: str) -> None:
+    """Sign in as somebody, all the way."""
+    go_to_provider(place, chromium, name)
+    chromium.click("button[type=submit]")
+    chromium.arrive("/sign-in/account")
+    chromium.see(f"Signed in as {name}")
+
+
+def come_back(place: Place, chromium: Chromium, name: str) -> str:
+    """Sign in at the provider, and return the way back without going it."""
+    go_to_provider(place, chromium, name)
+    chromium.keep(f"*{_CALLBACK}*")
+    chromium.click("button[type=submit]")
+    return chromium.kept()
+
+
+def test_somebody_signs_in_and_out(place: Place, chromium: Chromium) -> None:
+    sign_in(place, chromium, "ada")
+    (cookie,) = (each for each in chromium.do("cookies") if each["name"] == "kleinkram")
+    assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Lax")
+    chromium.click("[data-act=sign-out]")
+    chromium.arrive("/sign-in")
+    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.arrive("/sign-in")
+    assert chromium.do("complaints") == []
+
+
+def test_the_second_time_it_is_the_same_account(place: Place, chromium: Chromium) -> None:
+    sign_in(place, chromium, "grace")
+    chromium.do("fresh")
+    sign_in(place, chromium, "grace")
+    found = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
+    assert [each["noun_name"] for each in found].count("grace") == 1
+
+
+def test_a_refused_consent_is_told_plainly(place: Place, chromium: Chromium) -> None:
+    go_to_provider(place, chromium, "no")
+    chromium.click("text=Cancel")
+    chromium.see("did not agree")
+    assert "did not agree" in place.refusals()[0]
+
+
+def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None:
+    back = come_back(place, chromium, "ada")
+    chromium.goto(re.sub("state=[^&]+", f"state={secrets.token_urlsafe(32)}", back))
+    chromium.see("was not begun in this browser")
+    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.arrive("/sign-in")
+
+
+def test_a_way_back_that_somebody_else_began_signs_nobody_in(place: Place, chromium: Chromium) -> None:
+    back = come_back(place, chromium, "mallory")
+    chromium.do("fresh")
+    chromium.goto(back)
+    chromium.see("was not begun in this browser")
+
+
+def test_a_replayed_code_signs_nobody_in(place: Place, chromium: Chromium) -> None:
+    first = come_back(place, chromium, "ada")
+    chromium.goto(first)
+    chromium.arrive("/sign-in/account")
+    chromium.goto(first)
+    chromium.see("was finished before")
+    # The same code with a state that is good: the provider itself must say that it was used.
+    chromium.do("fresh")
+    second = come_back(place, chromium, "ada")
+    code = parse_qs(urlsplit(first).query)["code"][0]
+    chromium.goto(re.sub("code=[^&]+", f"code={code}", second))
+    chromium.see("did not accept its own code")
+
+
+def test_keys_that_were_rotated_are_fetched_anew(place: Place, chromium: Chromium) -> None:
+    sign_in(place, chromium, "ada")
+    place.provider.start()
+    chromium.do("fresh")
+    sign_in(place, chromium, "ada")
+
+
+def test_a_token_that_has_expired_is_not_believed(place: Place, chromium: Chromium) -> None:
+    place.provider.start(late_s=2 * 3600)
+    try:
+        back = come_back(place, chromium, "ada")
+        chromium.goto(back)
+        chromium.see("could not say who you are")
+        assert "expired_token" in chromium.text()
+    finally:
+        place.provider.start()
+
+
+def test_a_provider_that_dies_on_the_way_is_told_plainly(place: Place, chromium: Chromium) -> None:
+    back = come_back(place, chromium, "ada")
+    place.provider.end()
+    try:
+        chromium.goto(back)
+        chromium.see("The Lab could not be asked who you are")
+        assert "cannot be reached" in place.refusals()[0]
+        chromium.goto(f"{place.url}/sign-in/account")
+        chromium.arrive("/sign-in")
+    finally:
+        place.provider.start()
+    chromium.do("fresh")
+    sign_in(place, chromium, "ada")
+
+
+def test_an_invited_person_links_the_provider_to_their_account(place: Place, chromium: Chromium) -> None:
+    link = place.ask("POST", "/people/invitations", {"email": "someone@elsewhere.example", "name": "Some One"})["url"]
+    chromium.goto(link)
+    chromium.see("someone@elsewhere.example")
+    chromium.fill("password", "correct horse battery")
+    chromium.keep(f"{place.url}/")
+    chromium.click("form button")
+    chromium.kept()
+    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.see("Signed in as Some One")
+    chromium.click("[data-act=link]")
+    chromium.fill("login", "linked")
+    chromium.fill("password", "any")
+    chromium.click("button[type=submit]")
+    chromium.see("Authorize")
+    chromium.click("button[type=submit]")
+    chromium.arrive("/sign-in/account")
+    chromium.do("fresh")
+    go_to_provider(place, chromium, "linked")
+    chromium.click("button[type=submit]")
+    chromium.see("Signed in as Some One")
+
+
+def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> None:
+    link = place.ask("POST", "/auth/owner-link")["url"]
+    chromium.keep(f"{place.url}/")
+    chromium.goto(link)
+    chromium.kept()
+    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.see("Signed in as owner")
+    chromium.do("fresh")
+    chromium.goto(link)
+    chromium.see("This link or code is not good")
+
+
+def test_a_program_on_this_machine_signs_in_when_somebody_agrees(place: Place, chromium: Chromium) -> None:
+    verifier = secrets.token_urlsafe(48)
+    challenge = base64.urlsafe_b64encode(hashlib.sha256(verifier.encode()).digest()).decode().rstrip("=")
+    query = {"port": 40123, "state": "a" * 20, "code_challenge": challenge, "client": "klein on <b>anymal</b>"}
+    sign_in(place, chromium, "ada")
+    chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
+    chromium.see("klein on <b>anymal</b>")
+    chromium.keep("http://127.0.0.1:40123/*")
+    chromium.click("[data-act=approve]")
+    brought = parse_qs(urlsplit(chromium.kept()).query)
+    assert brought["state"] == ["a" * 20]
+    told = place.ask("POST", "/auth/cli/token", {"code": brought["code"][0], "code_verifier": verifier})
+    assert place.ask("GET", "/me", token=told["token"])["person"]["name"] == "ada"
+
+
+def test_a_program_on_this_machine_hears_that_somebody_refused(place: Place, chromium: Chromium) -> None:
+    sign_in(place, chromium, "ada")
+    query = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
+    chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
+    chromium.see("asks to sign in")
+    chromium.keep("http://127.0.0.1:40123/*")
+    chromium.click("[data-act=deny]")
+    assert parse_qs(urlsplit(chromium.kept()).query) == {"error": ["denied"], "state": ["a" * 20]}
+
+
+def test_a_robot_signs_in_by_a_code_that_somebody_types(place: Place, chromium: Chromium) -> None:
+    began = place.ask("POST", "/auth/device", {"client": "klein on spot"})
+    chromium.goto(began["verification_url_complete"])
+    chromium.arrive("/sign-in")
+    chromium.click("[data-provider=lab]")
+    chromium.fill("login", "ada")
+    chromium.fill("password", "any")
+    chromium.click("button[type=submit]")
+    chromium.see("Authorize")
+    chromium.click("button[type=submit]")
+    chromium.arrive("/sign-in/device")
+    chromium.click("form button")
+    chromium.see("klein on spot")
+    chromium.click("[data-act=approve]")
+    chromium.see("You can close this page")
+    told = place.ask("POST", "/auth/device/token", {"device_code": began["device_code"]})
+    assert place.ask("GET", "/me", token=told["token"])["person"]["name"] == "ada"
