@@ -6,15 +6,17 @@ from typing import Annotated
 from pydantic import AfterValidator, AwareDatetime
 
 # Within what databases and languages keep, in every zone.
-_LAST_YEAR = 9998
+_FIRST_YEAR, _LAST_YEAR = 2, 9998
 
 
 def check_expiry(at: datetime.datetime) -> datetime.datetime:
     """Return a time in UTC, or say why nothing can end then.
 
     Raises:
-        ValueError: it is beyond the year 9998.
+        ValueError: it is before the year 2 or beyond the year 9998.
     """
+    if at.year < _FIRST_YEAR:
+        raise ValueError("has passed already")
     if at.year > _LAST_YEAR:
         raise ValueError(f"is beyond the year {_LAST_YEAR}; leave it out for no end")
     return at.astimezone(datetime.timezone.utc)

@@ -12,13 +12,25 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope
 
+
+def check_client_name(name: str) -> str:
+    """Return what a program calls itself, or say why it cannot.
+
+    Raises:
+        ValueError: it has nothing in it to read, or holds what would change how the text around it reads.
+    """
+    if not name.isprintable() or not name.strip():
+        raise ValueError("is empty, or holds what cannot be printed")
+    return name
+
+
 # What the person who agrees reads, and what their new token is called: "klein on anymal-3".
-ClientName = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+ClientName = Annotated[str, AfterValidator(check_client_name), Field(min_length=1, max_length=100)]
 # Unreserved characters, as RFC 7636 wants them.
 _Unguessable = Annotated[str, Field(min_length=20, max_length=200, pattern=r"^[A-Za-z0-9._~-]+$")]
 
