@@ -13,7 +13,7 @@ from kleinkram.contract.people import PersonRef
 
 # The page of the server's that a link opens; the secret follows behind a `#`, where no log sees it.
 SHARE_PAGE = "/s"
-MAX_SHARED_FILES = 10_000
+MAX_SHARED_FILES = 2_000
 
 
 def is_link(text: str) -> bool:

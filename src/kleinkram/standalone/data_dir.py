@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import kleinkram
+from kleinkram.contract.secrets import SecretKind, with_checksum
 from kleinkram.standalone.errors import AlreadyRunning, DataDirUnusable, VersionMismatch
 from kleinkram.standalone.procs import start_ticks
 
@@ -218,7 +219,9 @@ def load_secrets(data_dir: DataDir) -> Secrets:
 def ensure_owner_token(data_dir: DataDir) -> None:
     """Make the local owner's token at the first call."""
     if not data_dir.token_file.exists():
-        write_private(data_dir.token_file, f"klein_{secrets.token_urlsafe(32)}\n")
+        write_private(
+            data_dir.token_file, with_checksum(f"klein_{SecretKind.personal.value}_{secrets.token_urlsafe(32)}") + "\n"
+        )
 
 
 def load_ports(data_dir: DataDir) -> dict[str, int]:

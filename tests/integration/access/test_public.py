@@ -4,6 +4,9 @@ from typing import Any
 
 import pytest
 
+from kleinkram import connect
+from kleinkram.contract.errors import NotAuthenticated
+from kleinkram.contract.files import FileFilter
 from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
 from tests.integration.running import Api
@@ -48,6 +51,17 @@ def test_a_stranger_lists_searches_reads_and_downloads(api: Api, sample: Sample,
     (fetched,) = [event for event in api.events(file_id) if event["operation"] == "file.download"]
     assert fetched["actor"] is None
     assert api.sql("SELECT address FROM audit_event WHERE id = %s", fetched["id"]) == [("127.0.0.1",)]
+
+
+def test_the_sdk_needs_no_token_for_it(api: Api, sample: Sample, public: Any) -> None:
+    file_id = sample.file(api.mission(public["id"])["id"], "a.mcap")
+    with connect(api.url) as client:
+        assert client.projects.get(public["name"]).licence == "CC-BY-4.0"
+        (file,) = client.files.list(FileFilter(project=public["name"]))
+        (link,) = client.files.links([file.id]).items
+        assert (str(file.id), link.path) == (file_id, "a.mcap")
+        with pytest.raises(NotAuthenticated):
+            client.projects.create("x")
 
 
 def test_a_stranger_does_nothing_else(api: Api, sample: Sample, stranger: Api, public: Any) -> None:

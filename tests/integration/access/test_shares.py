@@ -2,12 +2,15 @@
 
 import datetime
 import re
+import uuid
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 import urllib3
 
+from kleinkram import connect
+from kleinkram.contract.errors import NotFound
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.secrets import is_whole
 from tests.integration import people
@@ -141,6 +144,23 @@ def test_what_a_link_to_files_does_not_show_cannot_be_asked_for(
     for nowhere in ("/missions", "/files"):
         assert guest.all(nowhere, {"text": "secret"}) == []
         assert guest.all(nowhere, {"text": "anymal"}) == []
+
+
+def test_the_sdk_takes_the_address_of_a_link(api: Api, outing: Outing) -> None:
+    mission_id = uuid.UUID(outing.mission["id"])
+    with connect(api.url, api.token) as client:
+        ends = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)
+        made = client.shares.create(mission_id, "for Bob", file_ids=[uuid.UUID(outing.first)], expires_at=ends)
+        assert made.secret not in repr(made)
+    with connect(f"{api.url}/s#{made.secret}") as guest:
+        assert guest.shares.shown().file_count == 1
+        assert [str(file.id) for file in guest.files.list()] == [outing.first]
+        with pytest.raises(NotFound):
+            guest.files.get(outing.other)
+    with connect(api.url, api.token) as client:
+        assert [client.shares.get(ref).id for ref in (made.url, made.secret, made.share.prefix)] == [made.share.id] * 3
+        client.shares.revoke(made.share.id)
+        assert [each.id for each in client.shares.list(mission_id=mission_id, ended=True)] == [made.share.id]
 
 
 def test_a_link_only_reads(api: Api, outing: Outing) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.secrets import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
-from kleinkram.server.access.secrets import new_secret
+from kleinkram.server.access.secrets import beginning, new_secret
 
 
 @pytest.mark.parametrize("kind", SecretKind)
@@ -18,6 +18,10 @@ def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
         assert is_whole(secret.text)
         assert len(secret.prefix) == len(f"klein_{kind.value}_") + 4
         assert secret.text not in repr(secret)
+
+
+def test_of_what_is_not_of_this_form_nothing_is_shown() -> None:
+    assert beginning("klein_pat_too-short") == beginning("0123456789abcdef") == ""
 
 
 def test_the_checksum_is_the_one_that_is_written_down() -> None:

@@ -7,6 +7,7 @@ from sqlalchemy import func, insert, select, update
 from kleinkram.contract.rights import Scope
 from kleinkram.server.access.actor import secret_hash
 from kleinkram.server.access.groups import add_person, make_admin
+from kleinkram.server.access.secrets import beginning
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import person, token
@@ -31,6 +32,7 @@ async def ensure_owner(db: Connection, secret_token: str) -> None:
     revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
     made = uuid.uuid4()
     values = {"id": made, "person_id": OWNER_ID, "name": _TOKEN_NAME, "secret_sha256": secret}
+    values |= {"prefix": beginning(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
     events = [Event("token.revoke", "token", token_id, _TOKEN_NAME, None) for token_id in revoked.scalars()]
     await record(db, None, *events, Event("token.create", "token", made, _TOKEN_NAME, None))

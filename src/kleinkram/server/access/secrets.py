@@ -3,7 +3,7 @@
 import secrets
 from dataclasses import dataclass, field
 
-from kleinkram.contract.secrets import SecretKind, with_checksum
+from kleinkram.contract.secrets import SecretKind, is_whole, with_checksum
 from kleinkram.server.access.actor import secret_hash
 
 _RANDOM_BYTES = 32
@@ -26,6 +26,10 @@ class NewSecret:
 
 def new_secret(kind: SecretKind) -> NewSecret:
     """Return a secret of 256 random bits."""
-    begin = f"klein_{kind.value}_"
-    text = with_checksum(begin + secrets.token_urlsafe(_RANDOM_BYTES))
-    return NewSecret(text, text[: len(begin) + _SHOWN_CHARACTERS])
+    text = with_checksum(f"klein_{kind.value}_{secrets.token_urlsafe(_RANDOM_BYTES)}")
+    return NewSecret(text, beginning(text))
+
+
+def beginning(secret: str) -> str:
+    """Return how a secret of ours begins, as lists show it; nothing of one that is not in this form."""
+    return secret[: secret.index("_", len("klein_")) + 1 + _SHOWN_CHARACTERS] if is_whole(secret) else ""
