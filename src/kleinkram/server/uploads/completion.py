@@ -44,7 +44,7 @@ from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.joining import Failures, join_at_store
-from kleinkram.server.uploads.rules import UNREADABLE, first_come
+from kleinkram.server.uploads.rules import UNREADABLE, as_shown, first_come
 from kleinkram.server.uploads.signing_parts import is_multipart
 
 _log = logging.getLogger("kleinkram.uploads")
@@ -159,7 +159,8 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     rows = [row for row in rows if row.id in still]
     existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])
     paths = [row.path for row in rows]
-    conflicts = await files.path_conflicts(db, mission_id, paths)
+    met = await files.path_conflicts(db, mission_id, paths)
+    conflicts = as_shown(met, may_read=Scope.read in actor.scopes)
     conflicts |= {paths[place]: other for place, other in first_come(paths).items()}
     failures: Failures = {}
     made: dict[uuid.UUID, uuid.UUID] = {}

@@ -15,6 +15,8 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import UploadFile, UploadState
 from kleinkram.server.uploads.queries import Content
 
+# What a conflict names to who may not read what is there.
+UNSHOWN = "a file that you may not see"
 UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 
 
@@ -75,7 +77,8 @@ def decide(wanted: UploadFile, known: Known) -> Decision:
 
 def _beside(wanted: UploadFile, existing: Row[Any], known: Known) -> Decision | None:
     if existing.path != wanted.path:
-        return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=existing.path))
+        other = existing.path if known.may_read else UNSHOWN
+        return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=other))
     if wanted.sha256 is None:
         return Decision(wanted, Way.hash_first)
     if content_of(wanted) != (existing.size_bytes, existing.sha256):
@@ -108,6 +111,11 @@ def _afresh(wanted: UploadFile, known: Known) -> Decision:
     if twin := known.twins.get(content):
         return Decision(wanted, Way.link, ref=twin)
     return Decision(wanted, Way.begin)
+
+
+def as_shown(conflicts: dict[str, str], *, may_read: bool) -> dict[str, str]:
+    """Return conflicts of paths with files that are there, as one may hear of them who may read those, or not."""
+    return conflicts if may_read else dict.fromkeys(conflicts, UNSHOWN)
 
 
 def first_come(paths: Sequence[str]) -> dict[int, str]:

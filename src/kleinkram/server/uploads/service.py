@@ -51,7 +51,7 @@ from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, content_of, decide, first_come
+from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, as_shown, content_of, decide, first_come
 from kleinkram.server.uploads.signing_parts import is_multipart, renewed
 
 _AT_ONCE = 16
@@ -104,14 +104,15 @@ async def _decide_all(
     keys = [name_key(each.path) for each in wanted]
     paths = [each.path for each in wanted]
     contents = [content for each in wanted if (content := content_of(each))]
+    may_read = Scope.read in actor.scopes
     known = Known(
         person_id=actor.person_id,
-        may_read=Scope.read in actor.scopes,
+        may_read=may_read,
         files=await queries.live_files(db, mission_id, keys),
         uploads=await queries.active_uploads(db, mission_id, keys),
         twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
         twins=await queries.twins(db, actor, contents) if contents else {},
-        conflicts=await files.path_conflicts(db, mission_id, paths),
+        conflicts=as_shown(await files.path_conflicts(db, mission_id, paths), may_read=may_read),
     )
     crowded = first_come(paths)
     decisions = [
