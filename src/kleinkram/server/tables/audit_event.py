@@ -32,4 +32,7 @@ audit_event = Table(
     Index("ix_audit_event_project_id", "project_id", "id"),
     Index("ix_audit_event_mission_id", "mission_id", "id"),
     Index("ix_audit_event_actor_id", "actor_id", "id"),
+    Index("ix_audit_event_token_id", "token_id", "id"),
+    Index("ix_audit_event_at", "at", postgresql_using="brin"),
+    Index("ix_audit_event_as_admin", "id", postgresql_where=text("as_admin")),
 )
