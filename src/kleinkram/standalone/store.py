@@ -1,10 +1,13 @@
 """Life-cycle of a private S3 store: SeaweedFS's `weed mini`, on loopback, with one identity and no services but S3.
 
-Master, volume and filer ports ask for no credentials, so nothing of it ever listens beyond loopback: other machines
-come in through `door`. Ready means: bytes written came back.
+Nothing of it ever listens beyond loopback: other machines come in through `door`. The volume and filer ports, which
+would else give everything to whoever finds them (and to every page that a browser on this machine shows), take words
+signed by keys that are made anew at each start. The master's port and those of gRPC ask for nothing: who has an account
+on this machine is trusted as far as that. Ready means: bytes written came back.
 """
 
 import json
+import secrets
 import signal
 import subprocess
 import tempfile
@@ -21,6 +24,13 @@ _SERVICES = ("s3", "master", "volume", "filer", "admin")
 _WITH_GRPC = ("s3", "master", "volume", "filer")
 PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _WITH_GRPC), "s3_tls")
 
+# By these weed's own parts know each other, for writing and for reading.
+_SIGNING_KEYS = (
+    "WEED_JWT_SIGNING_KEY",
+    "WEED_JWT_SIGNING_READ_KEY",
+    "WEED_JWT_FILER_SIGNING_KEY",
+    "WEED_JWT_FILER_SIGNING_READ_KEY",
+)
 # A loopback socket's path must fit into sockaddr_un.
 _LONGEST_SOCKET_PATH = 100
 
@@ -88,7 +98,7 @@ def _as_child(store: StoreFolder, arguments: list[str]) -> Command:
         log=store.log,
         # 50 MB less after a gigabyte than with 430MiB, for 5 to 10 % more of its CPU time; with 340MiB that would be 20
         # to 45 %. GOGC=50 keeps the speed that a memory limit alone would cost.
-        environment={"GOMEMLIMIT": "380MiB", "GOGC": "50"},
+        environment={"GOMEMLIMIT": "380MiB", "GOGC": "50", **{name: secrets.token_hex(32) for name in _SIGNING_KEYS}},
         # Not where the caller stands: weed reads a security.toml from its working directory.
         directory=store.folder,
     )

@@ -1,5 +1,6 @@
 """Starting, ending, dying and recovering."""
 
+import http.client
 import json
 import os
 import signal
@@ -63,6 +64,19 @@ def test_objects_tokens_and_ports_survive_a_restart(shared_instance: Instance) -
     assert s3.request(_store_access(shared_instance), "GET", "/kleinkram/kept") == (200, b"bytes")
     assert shared_instance.told["ports"] == told["ports"]
     assert (shared_instance.data_dir / "owner-token").read_text() == token
+    stop_instance(DataDir(shared_instance.data_dir))
+
+
+def test_the_store_gives_nothing_to_whoever_finds_its_other_ports(shared_instance: Instance) -> None:
+    # Such as a page in a browser on this machine, which may ask loopback addresses whatever it likes.
+    shared_instance.up()
+    ports = json.loads((shared_instance.data_dir / "ports.json").read_text())
+    for method, path in (("GET", "/buckets/"), ("DELETE", "/buckets/kleinkram?recursive=true"), ("PUT", "/buckets/x")):
+        filer = http.client.HTTPConnection("127.0.0.1", ports["filer"], timeout=10)
+        filer.request(method, path)
+        assert filer.getresponse().status == 401
+        filer.close()
+    assert _answers(shared_instance)
     stop_instance(DataDir(shared_instance.data_dir))
 
 
