@@ -120,6 +120,16 @@ def test_only_people_one_knows_of_can_be_added(api: Api, ada: Person) -> None:
     api.as_(ada.token).call("PUT", f"{path}/{stranger.id}", past).refused(422, "invalid_request")
 
 
+def test_nobody_lets_others_or_themselves_in_for_longer_than_they_are(api: Api, ada: Person, bob: Person) -> None:
+    made = made_by(api, ada)
+    path, his = f"/groups/{made['id']}/members", api.as_(bob.token)
+    join(api, bob, made["id"], is_editor=True, expires_s=86_400)
+    for body in ({"is_editor": True}, {"is_editor": True, "expires_at": in_days(2)}):
+        his.call("PUT", f"{path}/{bob.id}", body).refused(403, "right_exceeded")
+        his.call("PUT", f"{path}/{ada.id}", {"expires_at": in_days(2)}).refused(403, "right_exceeded")
+    his.call("PUT", f"{path}/{bob.id}", {"is_editor": True, "expires_at": in_days(0.5)}).ok()
+
+
 def test_a_name_is_taken_whatever_its_case(api: Api, ada: Person, bob: Person) -> None:
     made = made_by(api, ada)
     api.as_(bob.token).post("/groups", {"name": made["name"].upper()}).refused(409, "name_taken")

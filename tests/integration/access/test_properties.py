@@ -173,6 +173,8 @@ class History:
         expected = self._may_manage(who, group)
         if expected == 200 and whom not in self.rights.members[group] and not self.rights.active[whom]:
             expected = 404
+        if expected == 200 and wanted != self.rights.members[group].get(whom) and self._is_too_long(who, group, wanted):
+            expected = 403
         body: dict[str, Any] = {"is_editor": wanted.is_editor}
         body |= {} if wanted.ends == NEVER else {"expires_at": _UNTIL.isoformat()}
         answer = self._as(who).call("PUT", f"/groups/{self.ids[group]}/members/{self.ids[whom]}", body)
@@ -199,6 +201,10 @@ class History:
         if not self.rights.is_live_member(who, group):
             return 404
         return 200 if self.rights.members[group][who].is_editor else 403
+
+    def _is_too_long(self, who: str, group: str, wanted: Membership) -> bool:
+        own = self.rights.members[group].get(who)
+        return not self.rights.is_admin(who) and own is not None and (own.ends, wanted.ends) == (LATER, NEVER)
 
     def move(self) -> None:
         """Somebody moves a mission to a project; what was granted on it goes along."""

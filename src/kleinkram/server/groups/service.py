@@ -7,7 +7,15 @@ from sqlalchemy import Row, delete, func, insert, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import IntegrityError
 
-from kleinkram.contract.errors import FieldProblem, Forbidden, GroupFixed, InvalidRequest, NameTaken, NotFound
+from kleinkram.contract.errors import (
+    FieldProblem,
+    Forbidden,
+    GroupFixed,
+    InvalidRequest,
+    NameTaken,
+    NotFound,
+    RightExceeded,
+)
 from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
@@ -134,6 +142,7 @@ async def set_member(
     Raises:
         NotFound: the group or the person is not there, or not for this actor.
         Forbidden: they are no editor of it.
+        RightExceeded: it is for longer than they are in it themselves.
         GroupFixed: who is in it follows from addresses; only who edits it can be changed.
         InvalidRequest: the end has passed already.
         LastOwner, LastAdmin: somebody would be in it no longer for good, and was the last.
@@ -150,6 +159,7 @@ async def set_member(
             raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
     values = {"is_editor": wanted.is_editor, "expires_at": wanted.expires_at}
     if old is None or (old.is_editor, old.expires_at) != (wanted.is_editor, wanted.expires_at):
+        _see_that_it_is_theirs_to_give(actor, seen, wanted)
         after = {"person": name, **_said(wanted.is_editor, wanted.expires_at)}
         await record(db, actor, _event(seen, "group.member", _before(old), after))
         put = upsert(membership).values(group_id=group_id, person_id=person_id, added_by_id=actor.person_id, **values)
@@ -187,6 +197,13 @@ async def _managed(db: Connection, actor: Actor, group_id: uuid.UUID, doing: str
     if not (actor.is_admin or (seen.is_editor and seen.kind is not GroupKind.admins)):
         raise Forbidden(noun="group", operation=doing, needs="an editor of it")
     return seen
+
+
+def _see_that_it_is_theirs_to_give(actor: Actor, seen: GroupRead, wanted: MemberSet) -> None:
+    own, given = seen.expires_at, wanted.expires_at
+    if not actor.is_admin and own is not None and (given is None or given > own):
+        until = "a membership without an end" if given is None else f"a membership until {given:%Y-%m-%d %H:%M} UTC"
+        raise RightExceeded(noun="group", wanted=until, held=f"one until {own:%Y-%m-%d %H:%M} UTC")
 
 
 async def _member(db: Connection, group_id: uuid.UUID, person_id: uuid.UUID) -> Row[Any] | None:
