@@ -36,6 +36,11 @@ class Browser:
         assert answer.status < 300, (answer.status, answer.data)
         return answer
 
+    def status_of(self, token: str) -> int:
+        """Return how the server answers whoever comes with a token."""
+        headers = {"Authorization": f"Bearer {token}"}
+        return self.pool.request("GET", f"{self.url}/api/v1/me", headers=headers).status
+
     def agree_to_login(self, url: str) -> int:
         """Open the page that `klein login` wants opened, agree on it, and go where it sends the browser."""
         assert url.startswith(f"{self.url}/sign-in/cli?")

@@ -80,6 +80,13 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
     }
 
 
+@pytest.mark.parametrize("arguments", [(), ("some-id", "--all"), ("no-id",)])
+def test_which_browser_to_sign_out_is_said_once(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("KLEINKRAM_URL", LAB)
+    monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
+    assert isinstance(klein("session", "revoke", *arguments).exception, InvalidInput)
+
+
 def test_leaving_takes_a_server_to_leave() -> None:
     assert isinstance(klein("logout", "lab", "--all").exception, InvalidInput)
     assert isinstance(klein("logout").exception, NotConfigured)
