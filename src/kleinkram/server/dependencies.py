@@ -8,8 +8,8 @@ from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
-from kleinkram.server.access.actor import STRANGER, Actor, find_actor, find_signed_in
-from kleinkram.server.access.rights import admit, is_door
+from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
+from kleinkram.server.access.rights import admit, is_door, still_shares
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.places import named
 from kleinkram.server.db import Connection, Database
@@ -74,6 +74,8 @@ async def _who(
     async with database.begin() as db:
         if credentials is not None:
             found = await find_actor(db, credentials.credentials)
+            if found is not None and found.kind is ActorKind.share and not await still_shares(db, found):
+                found = None
         else:
             found = await find_signed_in(db, str(cookie), idle_s=request.app.state.settings.session_idle_s)
     if found is None and credentials is None and is_door:

@@ -7,11 +7,11 @@ from sqlalchemy import Row, Select, func, select
 
 from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.rights import Right
-from kleinkram.server.access.actor import Actor, ActorKind
+from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import mission, project
+from kleinkram.server.tables import mission, project, share
 
 # Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
 _TAKING = 0x6B6C5247
@@ -68,6 +68,18 @@ async def require_mission(db: Connection, actor: Actor, operation: str, mission_
     """
     levels = visible_missions(actor).with_only_columns(level_on_mission(actor), maintain_column_froms=True)
     await _require(db, levels.where(mission.c.id == mission_id), operation, noun="mission", ref=mission_id)
+
+
+async def still_shares(db: Connection, guest: Actor) -> bool:
+    """Say whether whoever made the link by which `guest` came may make such a link still: they know its secret."""
+    made = select(share.c.created_by_id, share.c.mission_id).where(share.c.id == guest.share_id)
+    row = (await db.execute(made)).one()
+    maker = await find_person(db, row.created_by_id)
+    if maker is None:
+        return False
+    levels = visible_missions(maker).with_only_columns(level_on_mission(maker), maintain_column_froms=True)
+    level: int | None = (await db.execute(levels.where(mission.c.id == row.mission_id))).scalar_one_or_none()
+    return (level or 0) >= (OPERATIONS["create_share"].right or Right.read).level
 
 
 async def hold_rights(db: Connection) -> None:

@@ -54,19 +54,25 @@ def _duration(actor: Actor) -> ColumnElement[Any]:
 
 def _upload_amounts(actor: Actor) -> ColumnElement[Any]:
     stmt = _amounts(func.count(), func.sum(upload.c.size_bytes)).where(upload.c.state.in_(UNDER_WAY))
-    if not sees_whole_missions(actor):
+    if not _knows_drafts(actor):
         stmt = stmt.where(upload.c.person_id == actor.person_id)
     joined = stmt.join_from(mission, upload, upload.c.mission_id == mission.c.id)
     return joined.scalar_subquery().label("uploads")
+
+
+def _knows_drafts(actor: Actor) -> bool:
+    """Say whether quotas and what is still on its way show to `actor`: to nobody without an account."""
+    return sees_whole_missions(actor) and actor.person_id is not None
 
 
 def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_project` reads, of a select that began with `visible_projects`."""
     name = person.c.name.label("created_by_name")
     is_whole = literal(sees_whole_missions(actor)).label("is_whole")
+    knows_drafts = literal(_knows_drafts(actor)).label("knows_drafts")
     level = level_on_project(actor).label("level")
     amounts = (_mission_amounts(actor), _file_amounts(actor), _upload_amounts(actor), _duration(actor))
-    extra = stmt.add_columns(name, is_whole, level, *amounts)
+    extra = stmt.add_columns(name, is_whole, knows_drafts, level, *amounts)
     return extra.join(person, person.c.id == project.c.created_by_id)
 
 
@@ -90,8 +96,8 @@ def to_project(row: Row[Any]) -> ProjectRead:
         is_public=row.is_public,
         licence=row.licence,
         citation=row.citation,
-        quota_bytes=row.quota_bytes if row.is_whole else None,
-        quota_files=row.quota_files if row.is_whole else None,
+        quota_bytes=row.quota_bytes if row.knows_drafts else None,
+        quota_files=row.quota_files if row.knows_drafts else None,
         used_bytes=size_bytes + upload_bytes,
         used_files=file_count + upload_count,
         right=Right.of_level(row.level),

@@ -1,0 +1,42 @@
+"""What stays behind must not let anybody in: links of those who lost their rights, numbers of what is still coming."""
+
+import datetime
+
+from kleinkram.contract.rights import Right
+from tests.integration import people
+from tests.integration.running import Api
+from tests.integration.uploading import begin, upload
+
+
+def _soon() -> str:
+    return (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)).isoformat()
+
+
+def test_a_link_rests_while_its_maker_may_not_share(api: Api) -> None:
+    ada, project = people.person(api), api.project()
+    mission_id = api.mission(project["id"])["id"]
+    upload(api, mission_id, "a.bag", b"bytes")
+    grant_id = people.grant(api, ada, Right.write, project_id=project["id"])
+    wanted = {"name": "for a reviewer", "expires_at": _soon()}
+    guest = api.as_(api.as_(ada.token).post(f"/missions/{mission_id}/shares", wanted).ok(201)["secret"])
+    assert [each["path"] for each in guest.all("/files")] == ["a.bag"]
+    lower = {"right": Right.read.value}
+    api.patch(f"/projects/{project['id']}/grants/{grant_id}", lower).ok()
+    guest.get("/files").refused(401, "not_authenticated")
+    people.grant(api, ada, Right.write, mission_id=mission_id)
+    assert guest.get(f"/missions/{mission_id}").status == 200
+    api.sql("DELETE FROM access_grant WHERE mission_id = %s", mission_id)
+    api.delete(f"/projects/{project['id']}/grants/{grant_id}").ok(204)
+    guest.get(f"/missions/{mission_id}").refused(401, "not_authenticated")
+
+
+def test_a_stranger_learns_of_a_public_project_neither_its_quota_nor_what_is_on_its_way(api: Api) -> None:
+    project = api.project()
+    mission_id = api.mission(project["id"])["id"]
+    upload(api, mission_id, "there.bag", b"there")
+    begin(api, mission_id, {"coming.bag": b"on its way"})
+    api.patch(f"/projects/{project['id']}", {"is_public": True, "quota_bytes": 1000}).ok()
+    told = api.as_(None).get(f"/projects/{project['id']}").ok()
+    assert (told["quota_bytes"], told["used_bytes"], told["used_files"]) == (None, 5, 1)
+    known = api.get(f"/projects/{project['id']}").ok()
+    assert (known["quota_bytes"], known["used_bytes"], known["used_files"]) == (1000, 15, 2)
