@@ -17,6 +17,7 @@ from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.claiming import offer_claim
 from kleinkram.server.auth.login_routes import login_router, me_router, people_router
 from kleinkram.server.auth.page_routes import router as sign_in_pages
+from kleinkram.server.auth.page_routes import home
 from kleinkram.server.auth.passwords import Passwords
 from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import router as auth

@@ -9,6 +9,7 @@ import pytest
 
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.auth.claiming import offer_claim
+from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.site import Site
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in
@@ -124,6 +125,20 @@ def test_only_the_owner_gets_a_link_and_only_from_our_page_does_it_sign_in(api: 
     foreign = Browser(api, origin="https://evil.example")
     foreign.post("/auth/link", {"code": code}).refused(401, "not_authenticated")
     assert foreign.cookies == {}
+
+
+def test_codes_and_logins_that_are_long_over_are_forgotten(api: Api) -> None:
+    link = api.post("/people/invitations", {"email": any_email()}).ok(201)["url"]
+    api.sql("UPDATE one_time_code SET expires_at = now() - interval '31 days' WHERE purpose = 'invitation'")
+    kept = api.sql("SELECT count(*) FROM one_time_code WHERE purpose <> 'invitation'")
+
+    async def forget(site: Site) -> None:
+        async with site.database.begin() as db:
+            await forget_ended(db)
+
+    on_site(api, forget)
+    assert api.sql("SELECT count(*) FROM one_time_code") == kept
+    Browser(api).post("/auth/codes", {"code": code_of(link)}).refused(410, "code_gone")
 
 
 def test_a_link_of_one_kind_is_not_good_for_another(api: Api) -> None:

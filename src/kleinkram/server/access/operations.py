@@ -164,6 +164,7 @@ OPERATIONS: dict[str, Need] = {
 
 # What is for everybody, and asks nobody who they are. Nothing here may say a name, or what anybody has.
 OPEN_PAGES = {
+    "/": "sends on to signing in",
     "/health/live": "whether the process answers",
     "/health/ready": "whether database, schema and store are there",
     "/metrics": "counts over the whole server, for networks that the settings name",
