@@ -1,0 +1,27 @@
+"""`klein audit`: what happened, found and exported."""
+
+import json
+
+from tests.acceptance.conftest import Terminal
+
+
+def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None:
+    terminal.run("mission", "create", "m", "-p", project)
+    found = terminal.run("audit", "-p", project, "--operation", "mission.*", "--person", "owner", "--json").json()
+    assert [event["operation"] for event in found["items"]] == ["mission.create"]
+    mission_id = found["items"][0]["noun_id"]
+    shown = terminal.run("audit", "-m", "m", "-p", project).out
+    assert "mission.create" in shown
+    assert "token local owner" in shown
+    assert "127.0.0.1" in shown
+    lines = terminal.run("audit", "--export", "-p", project).out.splitlines()
+    assert [json.loads(line)["operation"] for line in lines] == ["project.create", "mission.create"]
+    assert terminal.run("audit", "--jsonl", "--id", mission_id, "--until", "2000-01-01").out == ""
+    since = ["--since", found["items"][0]["at"]]
+    assert len(terminal.run("audit", *since, "-p", project, "--export").out.splitlines()) == 1
+
+
+def test_what_cannot_be_meant_is_refused(terminal: Terminal) -> None:
+    assert "--export gives everything" in terminal.run("audit", "--export", "--limit", 3, code=2).err
+    assert "noun_id" in terminal.run("audit", "--id", "x", code=2).err
+    assert "say it as" in terminal.run("audit", "--since", "yesterday", code=2).err
