@@ -1,11 +1,12 @@
 """What stays behind must not let anybody in: links of those who lost their rights, numbers of what is still coming."""
 
 import datetime
+from concurrent.futures import ThreadPoolExecutor
 
 from kleinkram.contract.rights import Right
 from tests.integration import people
 from tests.integration.running import Api
-from tests.integration.uploading import begin, upload
+from tests.integration.uploading import begin, upload, wait_until
 
 
 def _soon() -> str:
@@ -28,6 +29,30 @@ def test_a_link_rests_while_its_maker_may_not_share(api: Api) -> None:
     api.sql("DELETE FROM access_grant WHERE mission_id = %s", mission_id)
     api.delete(f"/projects/{project['id']}/grants/{grant_id}").ok(204)
     guest.get(f"/missions/{mission_id}").refused(401, "not_authenticated")
+
+
+def test_no_credential_is_made_for_somebody_who_is_leaving(api: Api) -> None:
+    ada, project = people.person(api), api.project()
+    mission_id = api.mission(project["id"])["id"]
+    people.grant(api, ada, Right.write, project_id=project["id"])
+    hers, shared = api.as_(ada.token), {"name": "kept", "expires_at": _soon()}
+    asked = [("/tokens", {"name": "kept"}), (f"/missions/{mission_id}/shares", shared)]
+    with ThreadPoolExecutor() as at_once, api.database.transaction():
+        # As where an admin deactivates her: her row is held, and what asks meanwhile was let in before.
+        api.sql("SELECT 1 FROM person WHERE id = %s FOR UPDATE", ada.id)
+        answers = [at_once.submit(hers.post, path, body) for path, body in asked]
+        wait_until(lambda: _waiting(api) == len(asked))
+        api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", ada.id)
+    for answer in answers:
+        answer.result().refused(401, "not_authenticated")
+
+
+def _waiting(api: Api) -> int:
+    ((count,),) = api.sql(
+        "SELECT count(*) FROM pg_locks WHERE NOT granted AND pid IN"
+        " (SELECT pid FROM pg_stat_activity WHERE datname = current_database())"
+    )
+    return int(count)
 
 
 def test_a_stranger_learns_of_a_public_project_neither_its_quota_nor_what_is_on_its_way(api: Api) -> None:

@@ -11,7 +11,7 @@ from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import mission, project, share
+from kleinkram.server.tables import mission, person, project, share
 
 # Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
 _TAKING = 0x6B6C5247
@@ -80,6 +80,19 @@ async def still_shares(db: Connection, guest: Actor) -> bool:
     levels = visible_missions(maker).with_only_columns(level_on_mission(maker), maintain_column_froms=True)
     level: int | None = (await db.execute(levels.where(mission.c.id == row.mission_id))).scalar_one_or_none()
     return (level or 0) >= (OPERATIONS["create_share"].right or Right.read).level
+
+
+async def see_that_they_stay(db: Connection, person_id: uuid.UUID | None) -> None:
+    """Before a credential is made for somebody, see that they have not left, and keep them until this transaction ends.
+
+    Who leaves while it is made would find it good when they are back.
+
+    Raises:
+        NotAuthenticated: they left.
+    """
+    here = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
+    if (await db.execute(here.with_for_update(read=True, key_share=True))).first() is None:
+        raise NotAuthenticated(reason="the account was deactivated")
 
 
 async def hold_rights(db: Connection) -> None:

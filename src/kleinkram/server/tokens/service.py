@@ -20,6 +20,7 @@ from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import see_that_they_stay
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
@@ -68,7 +69,12 @@ async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> 
 async def issue_token(
     db: Connection, person_id: uuid.UUID | None, *, wanted: TokenCreate, expires_at: datetime.datetime | None
 ) -> tuple[uuid.UUID, NewSecret]:
-    """Put a token there for somebody; whether they may have it, and the record, are the caller's."""
+    """Put a token there for somebody; whether they may have it, and the record, are the caller's.
+
+    Raises:
+        NotAuthenticated: they left.
+    """
+    await see_that_they_stay(db, person_id)
     token_id = uuid.uuid4()
     secret = new_secret(_SECRETS[wanted.kind])
     await db.execute(
