@@ -1,4 +1,4 @@
-"""Every command that a page shows is one that klein has, with the options that it shows."""
+"""Every command that a page shows is one that klein has, with the options that it shows; every link leads somewhere."""
 
 import re
 import shlex
@@ -69,3 +69,21 @@ def test_the_commands_on_a_page_exist(page: Path) -> None:
 
 def test_pages_show_commands() -> None:
     assert sum(len([*commands_on(page)]) for page in PAGES) > 50
+
+
+def headings_of(page: Path) -> set[str]:
+    """Return the names by which a page's headings are linked to."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_the_links_on_a_page_lead_somewhere(page: Path) -> None:
+    prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose):
+        if "://" in link:
+            continue
+        path, _, heading = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{link} is not there"
+        assert not heading or heading in headings_of(target), f"{link} has no such heading"
