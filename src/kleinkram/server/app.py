@@ -68,6 +68,7 @@ ROUTERS = (
     people_router,
     sign_in_pages,
     share_page,
+    home,
 )
 
 
