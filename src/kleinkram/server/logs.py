@@ -22,7 +22,14 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line, ensure_ascii=False, default=str)
+        return _obeyed_by_nothing(json.dumps(line, ensure_ascii=False, default=str))
+
+
+def _obeyed_by_nothing(text: str) -> str:
+    """Return JSON with what a terminal could obey escaped: strangers choose the paths they ask for."""
+    if text.isprintable():
+        return text
+    return "".join(letter if letter.isprintable() else json.dumps(letter)[1:-1] for letter in text)
 
 
 def set_up_logs(log_format: Literal["json", "text"]) -> None:
