@@ -7,6 +7,7 @@ import pytest
 
 from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
+from tests.integration.conftest import StartApi
 from tests.integration.people import Person
 from tests.integration.running import Api
 from tests.integration.sample import Sample
@@ -95,3 +96,14 @@ def test_a_token_without_the_power_uses_none(api: Api, admin: Person, sample: Sa
     api.as_(plain.secret).patch(f"/projects/{project}", {"description": "x"}).ok()
     api.as_(plain.secret).delete(f"/projects/{project}").refused(403, "forbidden")
     assert _marks(api, admin) == [("project.update", False), ("access.denied", False)]
+
+
+@pytest.mark.parametrize(("creators", "by_power"), [("everybody", False), ("affiliated", False), ("admins", True)])
+def test_making_a_project_takes_power_where_the_setting_leaves_it_to_admins(
+    start_api: StartApi, creators: str, by_power: bool
+) -> None:
+    api = start_api(creators=creators)
+    admin = people.person(api, admin=True)
+    api.as_(admin.token).project()
+    api.as_(admin.token).post("/groups", {"name": "field team"}).ok(201)
+    assert _marks(api, admin) == [("project.create", by_power), ("group.create", by_power)]

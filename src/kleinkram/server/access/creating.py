@@ -15,24 +15,31 @@ from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_grant, access_group, affiliation, affiliation_domain, membership
 
 
-async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> None:
-    """See that `actor` may make a project or a group. Where there are no affiliations, everybody counts as affiliated.
+async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> bool:
+    """See that `actor` may make a project or a group, and return whether that took the power of an admin.
+
+    Where there are no affiliations, everybody counts as affiliated.
 
     Raises:
         Forbidden: the setting lets others, or what they came with is limited to what is there.
     """
     if actor.limits is not None:
         raise Forbidden(noun="server", operation=f"create a {noun}", needs="a token without limits")
-    if actor.is_admin or creators == "everybody":
-        return
-    if creators == "admins":
-        raise Forbidden(noun="server", operation=f"create a {noun}", needs="an admin")
+    if creators == "everybody" or (creators == "affiliated" and await _is_affiliated(db, actor)):
+        return False
+    if actor.is_admin:
+        return True
+    needs = "an admin" if creators == "admins" else "somebody affiliated with the lab"
+    raise Forbidden(noun="server", operation=f"create a {noun}", needs=needs)
+
+
+async def _is_affiliated(db: Connection, actor: Actor) -> bool:
     mine = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
     affiliated = exists().where(
         mine, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
     )
-    if not (await db.execute(select(affiliated | ~exists(select(affiliation_domain.c.domain))))).scalar_one():
-        raise Forbidden(noun="server", operation=f"create a {noun}", needs="somebody affiliated with the lab")
+    found = await db.execute(select(affiliated | ~exists(select(affiliation_domain.c.domain))))
+    return bool(found.scalar_one())
 
 
 async def give_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:

@@ -63,7 +63,7 @@ async def create_group(db: Connection, actor: Actor, *, wanted: GroupCreate, cre
         Forbidden: the settings let others make groups.
         NameTaken: there is a group of that name, seen or not.
     """
-    await require_creator(db, actor, creators, noun="group")
+    by_power = await require_creator(db, actor, creators, noun="group")
     group_id = uuid.uuid4()
     values = {"name": wanted.name, "name_key": name_key(wanted.name), "created_by_id": actor.person_id}
     try:
@@ -72,7 +72,8 @@ async def create_group(db: Connection, actor: Actor, *, wanted: GroupCreate, cre
         raise _name_taken(error, wanted.name) from error
     await db.execute(insert(membership).values(group_id=group_id, person_id=actor.person_id, is_editor=True))
     after: Metadata = {"name": wanted.name, "editor": actor.name}
-    await record(db, actor, Event("group.create", "group", group_id, wanted.name, None, after=after))
+    event = Event("group.create", "group", group_id, wanted.name, None, after=after, by_power=by_power)
+    await record(db, actor, event)
     return await get_group(db, actor, group_id)
 
 

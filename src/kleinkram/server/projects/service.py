@@ -66,7 +66,7 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
     """
-    await require_creator(db, actor, creators, noun="project")
+    by_power = await require_creator(db, actor, creators, noun="project")
     fields = await asyncio.to_thread(read_fields, wanted.fields_yaml)
     project_id = uuid.uuid4()
     values = {"name": wanted.name, "name_key": name_key(wanted.name), "metadata_fields": _stored(fields)}
@@ -80,7 +80,8 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
     after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
     given = await give_first_rights(db, actor, project_id)
     after |= {"grants": {name: right.value for name, right in given.items()}} if given else {}
-    await record(db, actor, Event("project.create", "project", project_id, wanted.name, project_id, after=after))
+    event = Event("project.create", "project", project_id, wanted.name, project_id, after=after, by_power=by_power)
+    await record(db, actor, event)
     return await get_project(db, actor, project_id)
 
 
