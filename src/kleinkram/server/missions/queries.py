@@ -133,6 +133,16 @@ def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
     return one.where(project.c.id == project_id).with_for_update(read=True)
 
 
+def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
+    """Return the metadata fields of the project that a mission is in, locked likewise; for who may write the mission.
+
+    That is no right on the project, of which they see the name alone: they hear of the fields what their own metadata
+    lacks.
+    """
+    one = select(project.c.name, project.c.metadata_fields).join(mission, mission.c.project_id == project.c.id)
+    return one.where(mission.c.id == mission_id, project.c.deleted_at.is_(None)).with_for_update(read=True, of=project)
+
+
 def matching_missions(actor: Actor, matching: MissionFilter) -> Select[Any]:
     """Return the visible missions that match."""
     return mission_rows(actor, narrow_missions(actor, visible_missions(actor), matching))

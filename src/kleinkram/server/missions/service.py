@@ -159,7 +159,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
     if document is not None or changes.project_id is not None:
         # Project before mission, as where a project's fields change, so that the two never wait for each other.
-        await _project(db, actor, changes.project_id or row.project_id)
+        await _fields_after(db, actor, row.id, moves_to=changes.project_id if moves else None)
     await lock_mission(db, mission_id)
     old = await get_mission(db, actor, mission_id)
     await _see_that_it_may_change(db, actor, old, changes)
@@ -280,7 +280,7 @@ async def _judged_changes(
     project_id = changes.project_id or old.project.id
     if document is None and project_id == old.project.id:
         return {}
-    _, fields = await _project(db, actor, project_id)
+    fields = await _fields_after(db, actor, old.id, moves_to=None if project_id == old.project.id else project_id)
     values: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
     if document is None:
         return values | {"metadata_problems": _problems(Judge(fields), old.metadata)}
@@ -296,6 +296,18 @@ async def _project(db: Connection, actor: Actor, project_id: uuid.UUID) -> tuple
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
     return row.name, MetadataFields.model_validate(row.metadata_fields)
+
+
+async def _fields_after(
+    db: Connection, actor: Actor, mission_id: uuid.UUID, *, moves_to: uuid.UUID | None
+) -> MetadataFields:
+    """Return the fields that a mission is held to after a change, kept from changing meanwhile."""
+    if moves_to is not None:
+        return (await _project(db, actor, moves_to))[1]
+    row = (await db.execute(queries.fields_of_mission(mission_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="mission", ref=str(mission_id))
+    return MetadataFields.model_validate(row.metadata_fields)
 
 
 async def _change(db: Connection, statement: Update, *, name: str) -> None:
