@@ -3,6 +3,7 @@
 import re
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -217,6 +218,16 @@ def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: S
     settings = _provider("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
     anybody = Lab(start_api(oidc_providers=[settings]), lab.provider)
     assert anybody.sign_in("whoever", **_told(any_email())).me()["emails"] == []
+
+
+def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:
+    lab.provider.sign_in_as("hasty", **_told(any_email()))
+    browsers = [Browser(lab.api) for _ in range(4)]
+    backs = [lab.provider.authorize(each.post("/auth/providers/lab", {}).ok()["url"]) for each in browsers]
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(Browser.get, browsers, backs))
+    assert [answer.status for answer in answers] == [303] * 4
+    assert len({each.me()["person"]["id"] for each in browsers}) == 1
 
 
 def test_who_left_is_refused(lab: Lab) -> None:
