@@ -47,7 +47,7 @@ async def open_account(db: Connection, asker: Actor, *, vouched: Vouched, provid
         raise SignInRefused(
             reason=f"there is an account with {address} here, and {provider.title}'s word alone does not open it. "
             f"Sign in as you did before, then add {provider.title} to your account: "
-            "“Link another way to sign in” on the sign-in page."
+            "“Link another way to sign in” on the page /sign-in/account."
         )
     if await _is_known_to(db, owner, provider):
         raise SignInRefused(
