@@ -1,4 +1,4 @@
-"""Write what the code says of itself: OpenAPI, CLI reference, settings reference. `--check` only compares."""
+"""Write what the code says of itself: OpenAPI; commands, settings and operations. `--check` only compares."""
 
 import json
 import sys
@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from fastapi.routing import APIRoute
 from plots import plots
 from pydantic_core import PydanticUndefined
 
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
-from kleinkram.server.app import create_app
+from kleinkram.contract.rights import Scope
+from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Need, On
+from kleinkram.server.app import ROUTERS, create_app
 from kleinkram.server.settings import Settings
 
 _HERE = Path(__file__).parent
@@ -30,6 +33,7 @@ def main() -> int:
         _HERE / "openapi.json": openapi(),
         _HERE / "reference" / "cli.md": cli_reference(),
         _HERE / "reference" / "settings.md": settings_reference(),
+        _HERE / "reference" / "operations.md": operations_reference(),
         **{_HERE / "plots" / name: text for name, text in plots().items()},
     }
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
@@ -64,6 +68,51 @@ def settings_reference() -> str:
         default = "required" if field.default is PydanticUndefined else f"`{field.default}`"
         lines.append(f"| `KLEINKRAM_{name.upper()}` | {default} | {field.description} |")
     return "\n".join(lines) + "\n"
+
+
+def operations_reference() -> str:
+    """Return every route with what it takes, and those that take nothing."""
+    lines = [
+        "# Operations",
+        "",
+        "What each operation of the API takes of people, signed in by a browser or with a token: which right on what,",
+        "which scope of the token; and who else may. Failures are in the [description](../openapi.json).",
+        "This page is generated.",
+        "",
+        "| operation | route | right | a token's scope | also for |",
+        "|---|---|---|---|---|",
+    ]
+    routes = {
+        route.operation_id: f"`{'/'.join(sorted(route.methods or ()))} {route.path}`"
+        for router in ROUTERS
+        for route in router.routes
+        if isinstance(route, APIRoute)
+    }
+    for name, need in OPERATIONS.items():
+        route = routes.get(name, "what a change may amount to")
+        lines.append(f"| {name} | {route} | {_right(need)} | {_scopes(need)} | {_others(need)} |")
+    lines += ["", "For everybody, with nothing in it that somebody has:", "", "| page | what it shows |", "|---|---|"]
+    lines += [f"| `{path}` | {what} |" for path, what in sorted(OPEN_PAGES.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _right(need: Need) -> str:
+    if need.on is On.server:
+        return "of an admin"
+    if need.right is None:
+        return "—"
+    return f"{need.right.value} on {'whatever is shown' if need.on is On.anything else f'the {need.on.value}'}"
+
+
+def _scopes(need: Need) -> str:
+    if need.browsers:
+        return "none: a browser that is signed in"
+    return "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
+
+
+def _others(need: Need) -> str:
+    guests = "whoever comes" if need.on is On.nothing else "guests, of what is public or shared with them"
+    return ", ".join([guests] * need.guests + ["runners"] * need.runners)
 
 
 def cli_reference() -> str:

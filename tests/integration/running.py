@@ -21,6 +21,7 @@ from sqlalchemy import event
 
 from kleinkram.server.app import create_app
 from kleinkram.server.settings import Settings
+from tests.integration.described import see_that_it_is_described
 
 Query = Sequence[tuple[str, str]] | Mapping[str, str]
 
@@ -79,7 +80,9 @@ class Api:
         answer = self._pool.request(method, address, body=data, headers=sent)
         is_text = answer.headers.get("content-type", "").startswith(("text/", "application/jsonl"))
         parsed = answer.data.decode() if is_text else json.loads(answer.data) if answer.data else None
-        return Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
+        told = Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
+        see_that_it_is_described(method, f"/api/v1{path}", told.status, told.body)
+        return told
 
     def get(self, path: str, query: Query = ()) -> Answer:
         """GET."""

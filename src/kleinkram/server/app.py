@@ -4,6 +4,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
@@ -16,13 +17,14 @@ from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.claiming import offer_claim
 from kleinkram.server.auth.login_routes import login_router, me_router, people_router
-from kleinkram.server.auth.page_routes import router as sign_in_pages
 from kleinkram.server.auth.page_routes import home
+from kleinkram.server.auth.page_routes import router as sign_in_pages
 from kleinkram.server.auth.passwords import Passwords
 from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
 from kleinkram.server.dependencies import asks_who
+from kleinkram.server.failures import described
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.grants.routes import router as grants
 from kleinkram.server.groups.affiliations import ensure_affiliations
@@ -66,10 +68,20 @@ ROUTERS = (
     login_router,
     me_router,
     people_router,
+    home,
     sign_in_pages,
     share_page,
-    home,
 )
+
+
+class _Described(FastAPI):
+    """An app whose description says of each operation how it may fail."""
+
+    def openapi(self) -> dict[str, Any]:
+        """Return the description, made once."""
+        if self.openapi_schema is None:
+            self.openapi_schema = described(super().openapi())
+        return self.openapi_schema
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -99,14 +111,15 @@ def create_app(settings: Settings) -> FastAPI:
         await database.close()
 
     see_that_all_are_guarded(ROUTERS)
-    app = FastAPI(
+    app = _Described(
         title="Kleinkram",
         version=kleinkram.__version__,
         summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
-        responses={"default": {"model": ProblemDocument, "description": "A failure, as RFC 9457 problem document."}},
+        # Told for each operation by its codes (`failures`); said here, so that its schema is among those told.
+        responses={"default": {"model": ProblemDocument}},
     )
     app.state.settings = settings
     app.state.queue = queue

@@ -79,7 +79,7 @@ class World:
 
 def build(api: Api, *, places_each: int = len(PLACES)) -> World:
     """Put everything and everybody into an API's database; the plain member in all places, others in so many."""
-    sides = {is_public: _things(api, is_public=is_public) for is_public in (False, True)}
+    sides = {is_public: put_things(api, is_public=is_public) for is_public in (False, True)}
     wanted = {carrier: set(random.Random(carrier.name).sample(PLACES, places_each)) for carrier in PLACED}
     wanted[MEMBER] = set(PLACES)
     askers: list[Asker] = []
@@ -91,7 +91,8 @@ def build(api: Api, *, places_each: int = len(PLACES)) -> World:
     return World(api, askers)
 
 
-def _things(api: Api, *, is_public: bool) -> Things:
+def put_things(api: Api, *, is_public: bool) -> Things:
+    """Put a project, public or not, and all that is in it."""
     sample = Sample(api)
     project, target = api.project(), api.project()["id"]
     mission, target_mission = api.mission(project["id"]), api.mission(target)["id"]

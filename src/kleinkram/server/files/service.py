@@ -105,7 +105,7 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
     if changes.labels is not None and (labels := list(dict.fromkeys(changes.labels))) != old.labels:
         values["labels"] = labels
     if (mission_id, path) != (old.mission_id, old.path):
-        if (project_id := await project_of(db, mission_id)) != old.project_id:
+        if mission_id != old.mission_id and (project_id := await project_of(db, mission_id)) != old.project_id:
             await require_room(db, actor, project_id=project_id, asked=Amount(1, old.size_bytes))
         await _check_move(db, actor, old, mission_id=mission_id, path=path)
         values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
