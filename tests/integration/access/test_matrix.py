@@ -92,6 +92,7 @@ def test_operation(world: World, operation: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("operation", sorted(CALLERS))
 def test_operation_in_full(whole_world: World, operation: str) -> None:
     """Each operation answers everybody as the rule says, wherever they are."""
