@@ -97,7 +97,7 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
     _, key = _blob(api, file["id"])
-    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + b"!"))
+    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + bytes([body[-1] ^ 1])))
     api.post(f"/files/{file['id']}/prove").ok(202)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()

@@ -42,6 +42,8 @@ class Sections:
         if self._data_end is None and claimed and claimed != stream.crc() and not self._losses.damage:
             place = f"data section (to {where})"
             self._losses.note(Malformed(place, "its checksum is wrong: some of its bytes are not as they were written"))
+            # Whole records may be gone without a trace.
+            self._losses.messages_are_known = False
         stream.advance(total)
         stream.restart_crc()
         self._data_end = stream.position
