@@ -3,9 +3,11 @@
 Nothing of it ever listens beyond loopback: other machines come in through `door`. The volume and filer ports, which
 would else give everything to whoever finds them (and to every page that a browser on this machine shows), take words
 signed by keys that are made anew at each start. The master's port and those of gRPC ask for nothing: who has an account
-on this machine is trusted as far as that. Ready means: bytes written came back.
+on this machine is trusted as far as that. A page can send the master words but not read its answers; what it could
+destroy by them has a name that it cannot guess. Ready means: bytes written came back.
 """
 
+import hashlib
 import json
 import secrets
 import signal
@@ -77,6 +79,7 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
         "-s3.autoCreateBucket=false",
         f"-s3.localSocket={_socket(store, 's3')}",
         f"-filer.localSocket={_socket(store, 'filer')}",
+        f"-filer.filerGroup={_group(store)}",
         "-volume.preStopSeconds=0",
         # With a resumed state the master may take itself for one of many after an election, and refuses every write
         # for 15 s (seaweedfs pull request 8529). What it would resume, the one volume server tells it at once.
@@ -114,6 +117,14 @@ def _write_identities(store: StoreFolder) -> Path:
     path.touch(mode=0o600)
     path.write_text(json.dumps({"identities": [identity]}))
     return path
+
+
+def _group(store: StoreFolder) -> str:
+    """Return what the names of this store's collections begin with: the same at every start, and nobody's guess.
+
+    Without, a collection has its bucket's name, and one GET to the master's port deletes all that is in it.
+    """
+    return "g" + hashlib.sha256(f"collections of {store.secret_key}".encode()).hexdigest()[:20]
 
 
 def _socket(store: StoreFolder, name: str) -> Path:

@@ -76,7 +76,13 @@ def test_the_store_gives_nothing_to_whoever_finds_its_other_ports(shared_instanc
         filer.request(method, path)
         assert filer.getresponse().status == 401
         filer.close()
-    assert _answers(shared_instance)
+    access = _store_access(shared_instance)
+    assert s3.request(access, "PUT", "/kleinkram/safe", body=b"bytes")[0] == 200
+    master = http.client.HTTPConnection("127.0.0.1", ports["master"], timeout=10)
+    master.request("GET", f"/col/delete?collection={store.BUCKET}")
+    assert master.getresponse().status == 400
+    master.close()
+    assert s3.request(access, "GET", "/kleinkram/safe") == (200, b"bytes")
     stop_instance(DataDir(shared_instance.data_dir))
 
 
