@@ -94,6 +94,11 @@ class History:
     def _place(self) -> str:
         return self.choose.choice([*self.rights.projects, *self.rights.projects, *self.rights.project_of])
 
+    def _writer(self, place: str) -> str:
+        """Somebody who may give rights on a place, more often than not; else most of it would be refusals."""
+        writers = [name for name in _PEOPLE if self.rights.held(name, place) >= WRITE]
+        return self.choose.choice(writers) if writers and self.choose.random() < 0.7 else self._somebody()
+
     def _path(self, place: str) -> str:
         return f"/{'missions' if place in self.rights.project_of else 'projects'}/{self.ids[place]}"
 
@@ -108,9 +113,10 @@ class History:
 
     def give(self) -> None:
         """Somebody gives a right to somebody, a group, or an address."""
-        who, place = self._somebody(), self._place()
+        place = self._place()
+        who = self._writer(place)
         group = self.choose.choice([f"~{name}" for name in _PEOPLE] + [f"@{name}" for name in _PEOPLE] + [*_GROUPS])
-        grant = Grant(self.choose.randint(1, 4), self.choose.choice([NEVER, NEVER, LATER]))
+        grant = Grant(self.choose.choice([1, 2, 3, 3, 4, 4]), self.choose.choice([NEVER, LATER]))
         expected, after = self._may_give(who, place, group, grant), copy.deepcopy(self.rights)
         after.grants[place, group] = grant
         body: dict[str, Any] = {"right": Right.of_level(grant.level).value}
