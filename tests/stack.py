@@ -97,7 +97,7 @@ def _postgres() -> Iterator[RunningPostgres]:
         )
         postgres.initialise(cluster)
         # What is lost by a crash of the machine is only a test's.
-        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "100"})
+        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "400"})
         try:
             _wait_until(lambda: postgres.is_ready(cluster, process), process, cluster.log)
             postgres.prepare_database(cluster)
