@@ -32,7 +32,7 @@ test: setup
 	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 2 --dist loadfile
 
 test-all: setup
-	@$(BIN)/python -m pytest -m slow -q
+	@$(BIN)/python -m pytest -m slow -q -n 2 --dist loadfile
 
 soak: setup
 	@$(BIN)/python -m pytest -m soak -q --timeout=0
