@@ -2,7 +2,8 @@
 
 Nothing of it ever listens beyond loopback: other machines come in through `door`. The volume and filer ports, which
 would else give everything to whoever finds them (and to every page that a browser on this machine shows), take words
-signed by keys that are made anew at each start, but for reading a volume. The master's port and those of gRPC ask for nothing: who has an account
+signed by keys that are made anew at each start, but for reading a volume.
+The master's port and those of gRPC ask for nothing: who has an account
 on this machine is trusted as far as that. A page can send the master words but not read its answers; what it could
 destroy by them has a name that it cannot guess. Ready means: bytes written came back.
 """
