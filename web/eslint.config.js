@@ -1,0 +1,45 @@
+import js from "@eslint/js";
+import vue from "eslint-plugin-vue";
+import tseslint from "typescript-eslint";
+import vueParser from "vue-eslint-parser";
+
+export default tseslint.config(
+  { ignores: ["node_modules/**", "src/api/schema.d.ts", "public/**"] },
+  {
+    files: ["src/**/*.ts", "src/**/*.vue"],
+    extends: [js.configs.recommended, ...tseslint.configs.strictTypeChecked, ...vue.configs["flat/recommended"]],
+    languageOptions: {
+      parser: vueParser,
+      parserOptions: {
+        parser: tseslint.parser,
+        project: "./tsconfig.app.json",
+        tsconfigRootDir: import.meta.dirname,
+        extraFileExtensions: [".vue"],
+      },
+    },
+    rules: {
+      "no-undef": "off", // the types say it better
+      "no-console": "error",
+      "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
+      "@typescript-eslint/no-confusing-void-expression": ["error", { ignoreArrowShorthand: true }],
+      "@typescript-eslint/consistent-type-imports": "error",
+      "vue/no-v-html": "error",
+      "vue/no-static-inline-styles": "error", // the content security policy refuses it in hoisted markup
+      "vue/component-api-style": ["error", ["script-setup"]],
+      "vue/block-lang": ["error", { script: { lang: "ts" } }],
+      "vue/define-macros-order": "error",
+      "vue/no-bare-strings-in-template": ["error", { allowlist: ["·", "/", "–", "—", ":", ",", ".", "(", ")", "×", "+", "#", "%"] }],
+      "max-lines": ["error", { max: 250 }],
+      // How lines are broken is nobody's concern; what is in them is.
+      "vue/max-attributes-per-line": "off",
+      "vue/singleline-html-element-content-newline": "off",
+      "vue/html-self-closing": "off",
+      "vue/html-indent": "off",
+      "vue/html-closing-bracket-newline": "off",
+      "vue/first-attribute-linebreak": "off",
+      "vue/multiline-html-element-content-newline": "off",
+    },
+  },
+  { files: ["src/**/*.test.ts", "src/texts/**/*.ts"], rules: { "max-lines": "off" } },
+  { files: ["scripts/**/*.mjs"], extends: [js.configs.recommended], languageOptions: { globals: { URL: "readonly" } } },
+);

@@ -1,0 +1,43 @@
+/** Why a recording could not be read here. The sentences are in `texts/recordings.ts`. */
+
+export type FailureCode =
+  | "no_index"
+  | "not_readable_here"
+  | "compression_unknown"
+  | "too_large"
+  | "chunk_damaged"
+  | "index_damaged"
+  | "topic_unknown"
+  | "topic_silent"
+  | "encoding_unknown"
+  | "definition_unreadable"
+  | "message_damaged"
+  | "not_a_picture"
+  | "picture_unreadable"
+  | "picture_too_large"
+  | "pixels_unknown"
+  | "store_unreachable"
+  | "store_refused"
+  | "file_changed"
+  | "link_refused"
+  | "worker_ended"
+  | "worker_silent"
+  | "cancelled";
+
+/** A failure with a name; `detail` is what exactly, such as an encoding or an offset, for the sentence. */
+export class ReadFailure extends Error {
+  override readonly name = "ReadFailure";
+
+  constructor(
+    readonly code: FailureCode,
+    readonly detail = "",
+  ) {
+    super(detail === "" ? code : `${code}: ${detail}`);
+  }
+}
+
+/** Make a named failure of whatever was thrown; what has no name becomes `code`. */
+export function failureOf(thrown: unknown, code: FailureCode): ReadFailure {
+  if (thrown instanceof ReadFailure) return thrown;
+  return new ReadFailure(code, thrown instanceof Error ? thrown.message.slice(0, 300) : "");
+}

@@ -1,0 +1,36 @@
+/** How much of a stranger's file we are willing to hold, wait for, or read without asking. Bytes unless named. */
+
+const MIB = 2 ** 20;
+
+/** What one block of the cache holds; reads are rounded to it. */
+export const BLOCK = 128 * 1024;
+/** What the cache keeps of one recording. */
+export const MOST_CACHED = 48 * MIB;
+/** The longest piece that is read at once: an index, or a chunk with its index. */
+export const MOST_READ_AT_ONCE = 96 * MIB;
+/** The largest chunk once it is decompressed. */
+export const MOST_UNPACKED = 128 * MIB;
+/** Decompressed chunks that overlap in time and so are held together. */
+export const MOST_HELD = 384 * MIB;
+/** Read ahead while a curve reads chunk after chunk. */
+export const READ_AHEAD = 4 * MIB;
+/** What a curve reads before it asks. */
+export const MOST_UNASKED = 32 * MIB;
+/** The largest picture, in pixels. */
+export const MOST_PIXELS = 64 * 1_000_000;
+/** Values inside one message that are decoded, such as elements of arrays of messages. */
+export const MOST_VALUES = 200_000;
+/** How deep messages may nest. */
+export const MOST_DEPTH = 40;
+/** A definition of a message, in characters or bytes. */
+export const MOST_DEFINITION = 4 * MIB;
+/** Elements of an array that are offered as fields of a plot. */
+export const MOST_ELEMENTS = 16;
+/** Fields that are offered for plotting. */
+export const MOST_FIELDS = 600;
+/** Curves in one plot. */
+export const MOST_CURVES = 8;
+/** The store must send something within this time. */
+export const STORE_PATIENCE_MS = 30_000;
+/** The worker must say something within this time. */
+export const WORKER_PATIENCE_MS = 45_000;

@@ -1,0 +1,176 @@
+/** The bytes of one file in the store, by HTTP ranges: few requests, a small cache, addresses renewed when they expire. */
+
+import { ReadFailure } from "./failures";
+import { BLOCK, MOST_CACHED, MOST_READ_AT_ONCE, STORE_PATIENCE_MS } from "./limits";
+
+/** Where to read a file for a while. The address is a secret: whoever has it can read the file. */
+export interface Address {
+  url: string;
+  expiresAtMs: number;
+}
+
+/** Reads `length` bytes at `offset`. Offsets and lengths are bytes. */
+export interface ByteSource {
+  readonly sizeBytes: number;
+  read(offset: number, length: number): Promise<Uint8Array>;
+}
+
+export interface RangesOptions {
+  sizeBytes: number;
+  /** Asks for an address; called again when one has expired. */
+  renew: () => Promise<Address>;
+  /** Called as bytes arrive, with their number. */
+  onBytes?: (count: number) => void;
+  fetch?: typeof fetch;
+  now?: () => number;
+}
+
+const RENEW_BEFORE_MS = 30_000;
+const EXPIRED = new Set([400, 401, 403]);
+
+/** A file in the store. Not for use by several readers at once: it keeps one signal and one way of reading ahead. */
+export class Ranges implements ByteSource {
+  readonly sizeBytes: number;
+  /** Bytes that came over the network. */
+  bytesRead = 0;
+  /** Read at least this many bytes at once; for reading on and on. */
+  ahead = 0;
+  /** Ends what is being read. */
+  signal: AbortSignal | undefined;
+
+  private readonly blocks = new Map<number, Uint8Array>();
+  private address: Address | undefined;
+  private etag: string | undefined;
+
+  constructor(private readonly options: RangesOptions) {
+    this.sizeBytes = options.sizeBytes;
+  }
+
+  async read(offset: number, length: number): Promise<Uint8Array> {
+    const end = offset + length;
+    if (!(offset >= 0 && length >= 0 && end <= this.sizeBytes)) {
+      throw new ReadFailure("index_damaged", `${length} bytes at ${offset} of ${this.sizeBytes}`);
+    }
+    if (length > MOST_READ_AT_ONCE) throw new ReadFailure("too_large", String(length));
+    const whole = new Uint8Array(length);
+    const last = Math.ceil(end / BLOCK);
+    for (let block = Math.floor(offset / BLOCK); block < last; ) {
+      const kept = this.kept(block);
+      const bytes = kept ?? (await this.fetchBlocks(block, last));
+      copyInto(whole, offset, bytes, block * BLOCK);
+      block += Math.ceil(bytes.length / BLOCK);
+    }
+    return whole;
+  }
+
+  /** Fetch from `block` to the next one that is there already, or to `last`, or further if reading ahead. */
+  private async fetchBlocks(block: number, last: number): Promise<Uint8Array> {
+    const blocks = Math.ceil(this.sizeBytes / BLOCK);
+    const wanted = Math.min(blocks, Math.max(last, block + Math.ceil(this.ahead / BLOCK)));
+    let until = block + 1;
+    while (until < wanted && !this.blocks.has(until)) until += 1;
+    const start = block * BLOCK;
+    const bytes = await this.fetchRange(start, Math.min(until * BLOCK, this.sizeBytes));
+    for (let at = 0; at < bytes.length; at += BLOCK) this.keep(block + at / BLOCK, bytes.slice(at, at + BLOCK));
+    return bytes;
+  }
+
+  private kept(block: number): Uint8Array | undefined {
+    const bytes = this.blocks.get(block);
+    if (bytes !== undefined) {
+      this.blocks.delete(block); // and put it back as the youngest
+      this.blocks.set(block, bytes);
+    }
+    return bytes;
+  }
+
+  private keep(block: number, bytes: Uint8Array): void {
+    this.blocks.set(block, bytes);
+    for (const oldest of this.blocks.keys()) {
+      if (this.blocks.size * BLOCK <= MOST_CACHED) break;
+      this.blocks.delete(oldest);
+    }
+  }
+
+  private async fetchRange(start: number, end: number): Promise<Uint8Array> {
+    const now = this.options.now ?? Date.now;
+    const isFresh = this.address !== undefined && this.address.expiresAtMs - RENEW_BEFORE_MS > now();
+    this.address = isFresh && this.address !== undefined ? this.address : await this.options.renew();
+    let response = await this.request(this.address.url, start, end);
+    if (isFresh && EXPIRED.has(response.status)) {
+      this.address = await this.options.renew();
+      response = await this.request(this.address.url, start, end);
+    }
+    if (!response.ok) throw new ReadFailure("store_refused", String(response.status));
+    return this.body(response, start, end);
+  }
+
+  private async request(url: string, start: number, end: number): Promise<Response> {
+    const patience = AbortSignal.timeout(STORE_PATIENCE_MS);
+    const signal = this.signal === undefined ? patience : AbortSignal.any([this.signal, patience]);
+    try {
+      // The store's answers are for this reader alone: credentials of ours are never sent there.
+      return await (this.options.fetch ?? fetch)(url, {
+        headers: { Range: `bytes=${start}-${end - 1}` },
+        credentials: "omit",
+        referrerPolicy: "no-referrer",
+        cache: "no-store",
+        signal,
+      });
+    } catch {
+      throw this.interrupted();
+    }
+  }
+
+  private async body(response: Response, start: number, end: number): Promise<Uint8Array> {
+    const whole = response.status === 200 && start === 0 && end === this.sizeBytes;
+    if (response.status !== 206 && !whole) {
+      await response.body?.cancel();
+      throw new ReadFailure("store_refused", String(response.status));
+    }
+    this.checkSame(response, start, end);
+    const bytes = await this.collect(response, end - start);
+    if (bytes.length !== end - start) throw new ReadFailure("file_changed", `${bytes.length} of ${end - start}`);
+    return bytes;
+  }
+
+  /** The store may hide these headers from scripts; where it shows them, they must agree. */
+  private checkSame(response: Response, start: number, end: number): void {
+    const range = response.headers.get("content-range");
+    if (range !== null && range !== `bytes ${start}-${end - 1}/${this.sizeBytes}`) {
+      throw new ReadFailure("file_changed", range);
+    }
+    const etag = response.headers.get("etag");
+    if (etag !== null && this.etag !== undefined && etag !== this.etag) throw new ReadFailure("file_changed", etag);
+    this.etag ??= etag ?? undefined;
+  }
+
+  private async collect(response: Response, length: number): Promise<Uint8Array> {
+    const bytes = new Uint8Array(length);
+    const reader = response.body?.getReader();
+    let at = 0;
+    try {
+      for (let part = await reader?.read(); part?.value !== undefined; part = await reader?.read()) {
+        if (at + part.value.length > length) throw new ReadFailure("file_changed", String(at + part.value.length));
+        bytes.set(part.value, at);
+        at += part.value.length;
+        this.bytesRead += part.value.length;
+        this.options.onBytes?.(part.value.length);
+      }
+    } catch (thrown) {
+      void reader?.cancel().catch(() => undefined);
+      throw thrown instanceof ReadFailure ? thrown : this.interrupted();
+    }
+    return bytes.subarray(0, at);
+  }
+
+  private interrupted(): ReadFailure {
+    return new ReadFailure(this.signal?.aborted === true ? "cancelled" : "store_unreachable");
+  }
+}
+
+function copyInto(target: Uint8Array, targetAt: number, source: Uint8Array, sourceAt: number): void {
+  const from = Math.max(targetAt, sourceAt);
+  const to = Math.min(targetAt + target.length, sourceAt + source.length);
+  target.set(source.subarray(from - sourceAt, to - sourceAt), from - targetAt);
+}

@@ -1,0 +1,34 @@
+import { fileURLToPath, URL } from "node:url";
+import { quasar, transformAssetUrls } from "@quasar/vite-plugin";
+import vue from "@vitejs/plugin-vue";
+import { defineConfig } from "vitest/config";
+import { fonts } from "./scripts/fonts.ts";
+
+// Where `klein up` listens while one develops; see docs/developing-the-web.md.
+const api = process.env.KLEINKRAM_API ?? "http://127.0.0.1:8000";
+const OF_THE_SERVER = ["/api", "/sign-in", "/s", "/static", "/health", "/openapi.json"];
+
+export default defineConfig({
+  plugins: [vue({ template: { transformAssetUrls } }), quasar({ sassVariables: false }), fonts()],
+  resolve: { alias: { "@": fileURLToPath(new URL("./src", import.meta.url)) } },
+  build: {
+    outDir: "../src/kleinkram/server/web/built",
+    emptyOutDir: true,
+    target: "es2022",
+    assetsInlineLimit: 0, // what is inlined as data: the content security policy refuses
+    modulePreload: { polyfill: false },
+    license: { fileName: "licences.md" },
+    reportCompressedSize: false,
+    chunkSizeWarningLimit: 800,
+  },
+  worker: { format: "es" },
+  server: {
+    port: 5173,
+    strictPort: true,
+    fs: { allow: [".."] },
+    proxy: Object.fromEntries(
+      OF_THE_SERVER.map((path) => [`^${path}($|[/?])`, { target: api, changeOrigin: true, headers: { origin: api } }]),
+    ),
+  },
+  test: { environment: "happy-dom", include: ["src/**/*.test.ts"], restoreMocks: true },
+});
