@@ -9,6 +9,7 @@ from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
 from kleinkram.client.references import the_one
 from kleinkram.contract.errors import NotFound
+from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.trash import Deleted
@@ -63,9 +64,17 @@ class Missions:
             return matching
 
     def create(
-        self, name: str, *, project_id: uuid.UUID, metadata_yaml: str | None = None, notes: str = ""
+        self,
+        name: str,
+        *,
+        project_id: uuid.UUID,
+        metadata_yaml: str | None = None,
+        metadata: Metadata | None = None,
+        notes: str = "",
     ) -> MissionRead:
-        """Make a mission; the server judges `metadata_yaml` against the project's fields and keeps it to the letter.
+        """Make a mission; the server judges its metadata against the project's fields.
+
+        Say the metadata as a document, `metadata_yaml`, which is kept to the letter, or as values, `metadata`.
 
         Raises:
             MetadataInvalid: names every missing or wrong field at once; nothing was made.
@@ -73,11 +82,14 @@ class Missions:
             NameTaken: the project has a mission of that name.
             InvalidInput: the name is not usable.
         """
-        body = checked(MissionCreate, "The mission", name=name, metadata_yaml=metadata_yaml, notes=notes)
+        given = {"metadata_yaml": metadata_yaml, "metadata": metadata}
+        body = checked(MissionCreate, "The mission", name=name, notes=notes, **given)
         return self._api.send("POST", f"/projects/{project_id}/missions", MissionRead, body)
 
-    def update(self, mission_id: uuid.UUID, **changes: str | bool | uuid.UUID) -> MissionRead:
+    def update(self, mission_id: uuid.UUID, **changes: str | bool | uuid.UUID | Metadata) -> MissionRead:
         """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
+
+        `metadata` changes the fields that it names, and None takes one away; `metadata_yaml` is all of it anew.
 
         Raises:
             MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.

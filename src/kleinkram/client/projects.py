@@ -7,6 +7,7 @@ from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
+from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
@@ -46,8 +47,15 @@ class Projects:
             return self._api.get(f"/projects/{ref}", ProjectRead)
         return the_one("project", ref, self.list(name=ref), name=lambda row: row.name, label=project_label)
 
-    def create(self, name: str, *, description: str = "", fields_yaml: str | None = None) -> ProjectRead:
-        """Make a project; `fields_yaml` is the text of a `fields.yaml` that declares its metadata fields.
+    def create(
+        self,
+        name: str,
+        *,
+        description: str = "",
+        fields_yaml: str | None = None,
+        metadata_fields: MetadataFields | None = None,
+    ) -> ProjectRead:
+        """Make a project; `fields_yaml`, the text of a `fields.yaml`, or `metadata_fields` declare its metadata fields.
 
         Raises:
             NameTaken: there is one of that name.
@@ -55,10 +63,11 @@ class Projects:
             YamlInvalid: the YAML cannot be read; says where.
             InvalidInput: the name is not usable.
         """
-        body = checked(ProjectCreate, "The project", name=name, description=description, fields_yaml=fields_yaml)
+        fields = {"fields_yaml": fields_yaml, "metadata_fields": metadata_fields}
+        body = checked(ProjectCreate, "The project", name=name, description=description, **fields)
         return self._api.send("POST", "/projects", ProjectRead, body)
 
-    def update(self, project_id: uuid.UUID, **changes: str | bool | int | None) -> ProjectRead:
+    def update(self, project_id: uuid.UUID, **changes: str | bool | int | MetadataFields | None) -> ProjectRead:
         """Change what is given (the fields of `ProjectUpdate`) and return the project; a quota of None lifts it.
 
         Raises:
@@ -74,7 +83,7 @@ class Projects:
         return self._api.understood(Deleted, "DELETE project", answer)
 
     def template(self, project_id: uuid.UUID) -> MissionTemplate:
-        """Return the metadata YAML to fill in for the next mission, prefilled from the last one."""
+        """Return what to fill in for the next mission, as YAML or as a form, prefilled from the last one."""
         return self._api.get(f"/projects/{project_id}/template", MissionTemplate)
 
 

@@ -5,10 +5,15 @@ import enum
 import re
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.names import check_text
+
 MAX_YAML_CHARACTERS = 200_000
+MAX_DEPTH = 20
+MAX_VALUES = 20_000
+MAX_KEY_CHARACTERS = 200
 
 Choice = Annotated[str, Field(max_length=200)]
 FieldName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
@@ -46,6 +51,32 @@ class Location(BaseModel):
 
 # Dates travel and are stored as ISO 8601 text; a location as the mapping of `Location` or as a place's name.
 Metadata = dict[str, JsonValue]
+
+
+def check_values(given: Metadata) -> Metadata:
+    """Return metadata as it is, or say why it cannot be kept: what a form sends is bounded as a document is.
+
+    Raises:
+        ValueError: it is nested too deep, has too many values or characters, or a text that no database keeps.
+    """
+    values = characters = 0
+    waiting: list[tuple[int, JsonValue]] = [(1, given)]
+    while waiting:
+        depth, value = waiting.pop()
+        if depth > MAX_DEPTH + 1:
+            raise ValueError(f"is nested more than {MAX_DEPTH} levels deep")
+        texts = [value] if isinstance(value, str) else [*value] if isinstance(value, dict) else []
+        if isinstance(value, dict) and any(len(key) > MAX_KEY_CHARACTERS for key in value):
+            raise ValueError(f"has a key of more than {MAX_KEY_CHARACTERS} characters")
+        values, characters = values + 1, characters + sum(len(check_text(text)) for text in texts)
+        if values > MAX_VALUES or characters > MAX_YAML_CHARACTERS:
+            raise ValueError(f"has more than {MAX_VALUES} values, or {MAX_YAML_CHARACTERS} characters")
+        inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        waiting += [(depth + 1, each) for each in inside]
+    return given
+
+
+GivenMetadata = Annotated[Metadata, AfterValidator(check_values)]
 
 
 class MetadataField(BaseModel):

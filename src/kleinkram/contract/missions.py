@@ -5,10 +5,11 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, Metadata
+from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -28,24 +29,40 @@ class MissionRef(BaseModel):
     project: ProjectRef
 
 
-class MissionCreate(BaseModel):
-    """A mission to make; `metadata_yaml` is kept to the letter and must satisfy the project's fields."""
+class _SaidOnce(BaseModel):
+    metadata_yaml: MetadataYaml | None = None
+    metadata: GivenMetadata | None = None
+
+    @model_validator(mode="after")
+    def _in_one_way(self) -> Self:
+        if self.metadata is not None and self.metadata_yaml is not None:
+            raise ValueError("say metadata or metadata_yaml, not both")
+        return self
+
+
+class MissionCreate(_SaidOnce):
+    """A mission to make, whose metadata must satisfy the project's fields.
+
+    Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name
-    metadata_yaml: MetadataYaml | None = None
     notes: Notes = ""
 
 
-class MissionUpdate(BaseModel):
-    """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all."""
+class MissionUpdate(_SaidOnce):
+    """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
+
+    `metadata_yaml` is all metadata anew. `metadata` changes the fields that it names, null takes one away, and the
+    document that said all is dropped.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name | None = None
     project_id: uuid.UUID | None = None
-    metadata_yaml: MetadataYaml | None = None
     notes: Notes | None = None
     completed: bool | None = None
 
@@ -82,11 +99,13 @@ class MissionRead(BaseModel):
 
 
 class MissionTemplate(BaseModel):
-    """The YAML to fill in for a project's next mission."""
+    """What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with."""
 
     model_config = ConfigDict(frozen=True)
 
     yaml: str
+    fields: MetadataFields
+    values: Metadata
     prefilled_from: MissionRef | None
 
 

@@ -5,7 +5,8 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
@@ -29,18 +30,28 @@ class ProjectRef(BaseModel):
     name: str
 
 
-class ProjectCreate(BaseModel):
-    """A project to make; `fields_yaml` is the text of a `fields.yaml`, read and judged by the server."""
+class _DeclaredOnce(BaseModel):
+    fields_yaml: FieldsYaml | None = None
+    metadata_fields: MetadataFields | None = None
+
+    @model_validator(mode="after")
+    def _in_one_way(self) -> Self:
+        if self.fields_yaml is not None and self.metadata_fields is not None:
+            raise ValueError("say fields_yaml or metadata_fields, not both")
+        return self
+
+
+class ProjectCreate(_DeclaredOnce):
+    """A project to make. Its fields are the text of a `fields.yaml`, or `metadata_fields`; the server judges both."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name
     description: Description = ""
-    fields_yaml: FieldsYaml | None = None
 
 
-class ProjectUpdate(BaseModel):
-    """What to change of a project; what is left out stays.
+class ProjectUpdate(_DeclaredOnce):
+    """What to change of a project; what is left out stays. Fields are replaced as a whole.
 
     Anybody may read a public project, with or without an account. A quota of null is none; admins set quotas.
     """
@@ -49,7 +60,6 @@ class ProjectUpdate(BaseModel):
 
     name: Name | None = None
     description: Description | None = None
-    fields_yaml: FieldsYaml | None = None
     is_public: bool | None = None
     licence: Licence | None = None
     citation: Citation | None = None

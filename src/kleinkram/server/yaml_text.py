@@ -27,10 +27,8 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from kleinkram.contract.errors import YamlInvalid
+from kleinkram.contract.metadata import MAX_DEPTH, MAX_KEY_CHARACTERS, MAX_VALUES
 
-MAX_DEPTH = 20
-MAX_NODES = 20_000
-MAX_KEY_CHARACTERS = 200
 _MAX_INT = 2**63 - 1
 _MAX_NUMBER_CHARACTERS = 400
 
@@ -162,8 +160,8 @@ class _Builder:
             raise _invalid(mark, "anchors and aliases (& and *) are not allowed; write the value out, or quote it")
         if getattr(event, "tag", None):
             raise _invalid(mark, "tags (!) are not allowed; write the plain value, or quote it")
-        if self._nodes > MAX_NODES:
-            raise _invalid(mark, f"there are more than {MAX_NODES} values")
+        if self._nodes > MAX_VALUES:
+            raise _invalid(mark, f"there are more than {MAX_VALUES} values")
         if len(path) > MAX_DEPTH:
             raise _invalid(mark, f"this is nested more than {MAX_DEPTH} levels deep")
 

@@ -235,3 +235,65 @@ def test_many_choices_are_named_in_part_and_one_has_its_length(api: Api) -> None
     fields = f"fields:\n  - {{name: robot, type: choice, choices: [{'x' * 201}]}}\n"
     problem = api.patch(f"/projects/{project_id}", {"fields_yaml": fields}).refused(422, "fields_invalid")
     assert [one["field"] for one in problem["problems"]] == ["robot.choices.0"]
+
+
+def test_a_form_sends_values_and_is_told_of_each_field(api: Api, project_id: str) -> None:
+    path = f"/projects/{project_id}/missions"
+    wrong = {"robot": "anymall", "operator": 7, "site": {"latitude": 91, "longitude": 8}, "day": None}
+    problem = api.post(path, {"name": "never", "metadata": wrong}).refused(422, "metadata_invalid")
+    assert {one["field"] for one in problem["problems"]} == {"robot", "operator", "site.latitude"}
+    made = api.mission(project_id, metadata={"robot": "spot", "operator": "ada", "temperature": "20 degC"})
+    assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 20}
+    assert made["metadata_yaml"] is None
+
+
+def test_a_field_is_changed_by_itself(api: Api, project_id: str) -> None:
+    made = api.mission(project_id, metadata_yaml="robot: spot\noperator: ada # by hand\nindoors: true\n")
+    path = f"/missions/{made['id']}"
+    changed = api.patch(path, {"metadata": {"operator": "bea", "indoors": None}}).ok()
+    assert changed["metadata"] == {"robot": "spot", "operator": "bea", "temperature": 12.5}
+    assert changed["metadata_yaml"] is None
+    assert api.patch(path, {"metadata": {"operator": "bea"}}).ok()["metadata"] == changed["metadata"]
+    assert [event["operation"] for event in api.events(made["id"])] == ["mission.update", "mission.create"]
+    problem = api.patch(path, {"metadata": {"operator": None, "colour": "red"}}).refused(422, "metadata_invalid")
+    assert {one["field"] for one in problem["problems"]} == {"operator", "colour"}
+    assert api.get(path).ok()["metadata"] == changed["metadata"]
+
+
+def test_changing_nothing_keeps_the_document(api: Api, project_id: str) -> None:
+    made = api.mission(project_id, metadata_yaml="robot: spot\noperator: ada # by hand\n")
+    same = api.patch(f"/missions/{made['id']}", {"metadata": {"operator": "ada"}}).ok()
+    assert same["metadata_yaml"] == made["metadata_yaml"]
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"note": "a\x00b"}, "U+0000"),
+        ({"x" * 201: 1}, "characters"),
+        ({"note": [[[[[[[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]]]]]]}, "nested"),
+        ({"note": list(range(20_001))}, "values"),
+        ({"note": "x" * 200_001}, "characters"),
+    ],
+)
+def test_values_that_nobody_keeps_are_refused(api: Api, project_id: str, values: object, word: str) -> None:
+    body = {"name": "never", "metadata": values}
+    problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "invalid_request")
+    assert word in problem["problems"][0]["message"]
+
+
+def test_metadata_is_said_in_one_way(api: Api, project_id: str) -> None:
+    body = {"name": "never", "metadata": {"robot": "spot"}, "metadata_yaml": "robot: spot"}
+    problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "invalid_request")
+    assert "not both" in problem["problems"][0]["message"]
+
+
+def test_a_template_is_a_form_too(api: Api) -> None:
+    project_id = api.project(fields_yaml=FIELDS)["id"]
+    form = api.get(f"/projects/{project_id}/template").ok()
+    assert [field["name"] for field in form["fields"]["fields"]][:2] == ["robot", "operator"]
+    assert form["values"] == {"temperature": 12.5}
+    api.mission(project_id, metadata={"robot": "spot", "operator": "ada"})
+    values = api.get(f"/projects/{project_id}/template").ok()["values"]
+    assert values == {"robot": "spot", "operator": "ada", "temperature": 12.5}
+    api.mission(project_id, metadata=values)

@@ -224,6 +224,50 @@ def test_counts_all_rows_when_asked(api: Api) -> None:
     assert api.get("/projects", {"limit": "1"}).ok()["total"] is None
 
 
+FORM = {
+    "undeclared": "refuse",
+    "fields": [
+        {"name": "robot", "type": "choice", "choices": ["anymal", "spot"], "required": True, "description": "Who."},
+        {"name": "temperature", "type": "number", "unit": "degC", "default": 12.5},
+        {"name": "operator", "type": "string", "pattern": "[a-z]+"},
+    ],
+}
+
+
+def test_fields_are_edited_in_a_form(api: Api) -> None:
+    project = api.project(metadata_fields=FORM)
+    held = project["metadata_fields"]
+    assert [(field["name"], field["type"], field["required"]) for field in held["fields"]] == [
+        ("robot", "choice", True),
+        ("temperature", "number", False),
+        ("operator", "string", False),
+    ]
+    path = f"/projects/{project['id']}"
+    assert api.patch(path, {"metadata_fields": held}).ok()["metadata_fields"] == held
+    assert [event["operation"] for event in api.events(project["id"])] == ["project.create"]
+    mission = api.mission(project["id"], metadata={"robot": "spot"})
+    fewer = {**held, "fields": [{**held["fields"][0], "choices": ["anymal"]}]}
+    changed = api.patch(path, {"metadata_fields": fewer}).ok()
+    assert [field["name"] for field in changed["metadata_fields"]["fields"]] == ["robot"]
+    assert changed["unsatisfied_mission_count"] == 1
+    problems = api.get(f"/missions/{mission['id']}").ok()["metadata_problems"]
+    assert {one["field"] for one in problems} == {"robot", "temperature"}
+
+
+def test_what_is_wrong_with_a_form_is_told_at_its_place(api: Api) -> None:
+    path = f"/projects/{api.project()['id']}"
+    wrong = {"fields": [{"name": "a", "type": "string"}, {"name": "1b", "type": "choice", "unit": 5}]}
+    problem = api.patch(path, {"metadata_fields": wrong}).refused(422, "invalid_request")
+    assert {"body.metadata_fields.fields.1.name", "body.metadata_fields.fields.1.unit"} <= {
+        one["field"] for one in problem["problems"]
+    }
+    wrong = {"fields": [{"name": "a", "type": "string", "pattern": "("}, {"name": "b", "type": "date", "default": 5}]}
+    problem = api.patch(path, {"metadata_fields": wrong}).refused(422, "fields_invalid")
+    assert [one["field"] for one in problem["problems"]] == ["fields.0.pattern", "fields.1.default"]
+    both = {"metadata_fields": FORM, "fields_yaml": "fields: []"}
+    assert "not both" in api.patch(path, both).refused(422, "invalid_request")["problems"][0]["message"]
+
+
 @pytest.mark.parametrize("cursor", ["x", "AAAA", "W10", "WyJhIl0", "é"])
 def test_a_made_up_cursor_is_refused(api: Api, cursor: str) -> None:
     api.get("/projects", {"cursor": cursor}).refused(422, "invalid_cursor")

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from kleinkram.contract.metadata import FieldType, Metadata, MetadataField, MetadataFields, Undeclared
 from kleinkram.server.missions.metadata import read_metadata, satisfying
-from kleinkram.server.missions.template import write_template
+from kleinkram.server.missions.template import prefilled, write_template
 
 _TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=40)
 _SCALAR = (
@@ -25,7 +25,7 @@ _VALUE = st.recursive(
 
 @given(st.dictionaries(_TEXT, _VALUE, max_size=5), _TEXT, _TEXT)
 def test_what_was_said_is_said_again(metadata: Metadata, project: str, mission: str) -> None:
-    text = write_template(MetadataFields(), project=project, last=(mission, metadata))
+    text = write_template(MetadataFields(), metadata, project=project, source=mission)
     assert read_metadata(text).value == metadata
 
 
@@ -35,5 +35,5 @@ def test_descriptions_and_units_break_nothing(description: str, unit: str, kind:
         name="a", type=kind, description=description, unit=unit[:32] if kind is FieldType.number else None
     )
     fields = MetadataFields(fields=[field], undeclared=Undeclared.refuse)
-    text = write_template(fields, project="p", last=("m", {"b": 1}))
+    text = write_template(fields, prefilled(fields, {"b": 1}), project="p", source="m")
     assert satisfying(read_metadata(text), fields) == {}

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kleinkram.contract.errors import YamlInvalid
-from kleinkram.server.yaml_text import MAX_NODES, Place, read_yaml
+from kleinkram.contract.metadata import MAX_VALUES
+from kleinkram.server.yaml_text import Place, read_yaml
 
 # fmt: off
 _PIECES = [
@@ -83,7 +84,7 @@ def test_every_value_has_its_place() -> None:
         "? " * 90_000,
         f"{'k' * 201}: 1",
         '"\\U99999999"',
-        "- " * 5 + "x\n" + "- y\n" * MAX_NODES,
+        "- " * 5 + "x\n" + "- y\n" * MAX_VALUES,
     ],
     ids=["brackets", "braces", "dashes", "items", "alias", "keys", "long key", "escape", "nodes"],
 )

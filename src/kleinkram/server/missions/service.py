@@ -13,13 +13,14 @@ from sqlalchemy import Row, Update, func, insert
 from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.errors import NameTaken, NotFound
+from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import Metadata, MetadataFields
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
     MissionRead,
-    MissionRef,
     MissionSort,
+    MissionTemplate,
     MissionUpdate,
 )
 from kleinkram.contract.names import name_key
@@ -32,7 +33,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
-from kleinkram.server.missions.template import write_template
+from kleinkram.server.missions.template import prefilled, write_template
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.quotas.service import require_room_for_mission
 from kleinkram.server.tables import mission
@@ -92,15 +93,22 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
 
 
 async def list_missions(
-    db: Connection, actor: Actor, *, matching: MissionFilter, sort: MissionSort, page: PageRequest
+    db: Connection,
+    actor: Actor,
+    *,
+    matching: MissionFilter,
+    found: FileFilter | None = None,
+    sort: MissionSort,
+    page: PageRequest,
 ) -> Page[MissionRead]:
-    """Return a page of the missions that match.
+    """Return a page of the missions that match, among those that a query finds, by themselves or by their files.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.matching_missions(actor, matching), queries.mission_order(actor, sort), page)
+    statement = queries.matching_missions(actor, matching, found)
+    rows = await fetch_page(db, statement, queries.mission_order(actor, sort), page)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -114,7 +122,7 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         MetadataInvalid: it does not satisfy the project; names every missing, wrong or unknown field.
         NameTaken: the project has a mission of that name.
     """
-    document = await asyncio.to_thread(read_metadata, wanted.metadata_yaml)
+    document = await _said_in(wanted)
     _, fields = await _project(db, actor, project_id)
     await require_project(db, actor, "create_mission", project_id)
     mission_id, metadata = uuid.uuid4(), satisfying(document, fields)
@@ -152,12 +160,12 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         NameTaken: the project has a mission of that name.
         QuotaExceeded: the project to move it to has no room for it.
     """
-    document = None if changes.metadata_yaml is None else await asyncio.to_thread(read_metadata, changes.metadata_yaml)
+    document = None if changes.metadata_yaml is None else await _said_in(changes)
     row = await get_mission_row(db, actor, mission_id)
     # Before anything is said of the project to move it to; and once more when it is held.
     moves = changes.project_id is not None and changes.project_id != row.project_id
     await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
-    if document is not None or changes.project_id is not None:
+    if document is not None or changes.metadata is not None or changes.project_id is not None:
         # Project before mission, as where a project's fields change, so that the two never wait for each other.
         await _fields_after(db, actor, row.id, moves_to=changes.project_id if moves else None)
     await lock_mission(db, mission_id)
@@ -215,8 +223,8 @@ async def rejudge_missions(db: Connection, project_id: uuid.UUID, fields: Metada
         after = rows[-1].id
 
 
-async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> tuple[str, MissionRef | None]:
-    """Return the metadata YAML to fill in for a project's next mission, and the mission it is prefilled from.
+async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> MissionTemplate:
+    """Return what to fill in for a project's next mission, and the mission it is prefilled from.
 
     Raises:
         NotFound: the project is not there, or not for this actor.
@@ -225,8 +233,19 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     last: Row[Any] | None = None
     if sees_whole_missions(actor):
         last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
-    text = write_template(fields, project=name, last=(last.name, last.metadata) if last else None)
-    return text, queries.to_mission_ref(last) if last else None
+    values = prefilled(fields, last.metadata if last else {})
+    return MissionTemplate(
+        yaml=write_template(fields, values, project=name, source=last.name if last else None),
+        fields=fields,
+        values=values,
+        prefilled_from=queries.to_mission_ref(last) if last else None,
+    )
+
+
+async def _said_in(said: MissionCreate | MissionUpdate) -> Document:
+    if said.metadata is not None:
+        return Document(said.metadata)
+    return await asyncio.to_thread(read_metadata, said.metadata_yaml)
 
 
 async def _see_that_it_may_change(db: Connection, actor: Actor, old: MissionRead, changes: MissionUpdate) -> None:
@@ -278,6 +297,9 @@ async def _judged_changes(
     db: Connection, actor: Actor, old: MissionRead, *, changes: MissionUpdate, document: Document | None
 ) -> dict[str, Any]:
     project_id = changes.project_id or old.project.id
+    if changes.metadata is not None:
+        changed = old.metadata | changes.metadata
+        document = Document({name: value for name, value in changed.items() if value is not None})
     if document is None and project_id == old.project.id:
         return {}
     fields = await _fields_after(db, actor, old.id, moves_to=None if project_id == old.project.id else project_id)
@@ -285,8 +307,8 @@ async def _judged_changes(
     if document is None:
         return values | {"metadata_problems": _problems(Judge(fields), old.metadata)}
     metadata = satisfying(document, fields)
-    held = (old.metadata, old.metadata_yaml, old.metadata_problems)
-    if not values and held == (metadata, changes.metadata_yaml, []):
+    same_document = changes.metadata is not None or old.metadata_yaml == changes.metadata_yaml
+    if not values and same_document and (old.metadata, old.metadata_problems) == (metadata, []):
         return {}
     return values | {"metadata": metadata, "metadata_yaml": changes.metadata_yaml, "metadata_problems": []}
 

@@ -13,21 +13,29 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*( [A-Za-z0-9_.-]+)*")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
-def write_template(fields: MetadataFields, *, project: str, last: tuple[str, Metadata] | None) -> str:
+def prefilled(fields: MetadataFields, last: Metadata) -> Metadata:
+    """Return the values to begin with: those of the last mission that still fit, else defaults."""
+    judge = Judge(fields)
+    values = {field.name: _prefilled(judge, field, last.get(field.name)) for field in fields.fields}
+    declared = {name.casefold() for name in values}
+    others = {key: value for key, value in last.items() if key.casefold() not in declared}
+    kept = {name: value for name, value in values.items() if value is not None}
+    return kept | (others if fields.undeclared is Undeclared.accept else {})
+
+
+def write_template(fields: MetadataFields, values: Metadata, *, project: str, source: str | None) -> str:
     """Return a document that parses, and that satisfies the fields once the required ones are filled in.
 
-    `last` is the name and metadata of the mission to take values from; a value that no longer fits is left out.
+    `values` are those to begin with, and `source` is the name of the mission that they were taken from.
     """
-    source = f", prefilled from mission {last[0]}" if last else ""
-    lines = [f"# Metadata of a mission in project {_comment(project)}{_comment(source)}."]
+    origin = f", prefilled from mission {source}" if source is not None else ""
+    lines = [f"# Metadata of a mission in project {_comment(project)}{_comment(origin)}."]
     lines.append("# Fill in what is required; what is optional may stay empty or be deleted.")
-    values = last[1] if last else {}
-    judge = Judge(fields)
     for field in fields.fields:
-        lines += ["", *_explained(field), _line(field.name, _prefilled(judge, field, values.get(field.name)))]
-    declared = {field.name.casefold() for field in fields.fields}
-    others = {key: value for key, value in values.items() if key.casefold() not in declared}
-    if others and fields.undeclared is Undeclared.accept:
+        lines += ["", *_explained(field), _line(field.name, values.get(field.name))]
+    declared = {field.name for field in fields.fields}
+    others = {key: value for key, value in values.items() if key not in declared}
+    if others:
         lines += ["", "# Not declared by the project, but given for the last mission:"]
         lines += [_line(key, value) for key, value in others.items()]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Reading `fields.yaml`: the metadata fields that a project declares. Pure; everything wrong is found at once."""
+"""The metadata fields that a project declares, out of a `fields.yaml` or a form. Pure; all that is wrong is found."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,27 @@ def read_fields(text: str | None) -> MetadataFields:
         raise FieldsInvalid(
             problems=[*(_problem(document, issue) for issue in issues), *_declared_twice(document)]
         ) from None
-    problems = [problem for at, field in enumerate(fields.fields) for problem in _judged(document, at, field)]
+    problems = [
+        _placed(document, path, message)
+        for at, field in enumerate(fields.fields)
+        for path, message in _judged(at, field)
+    ]
+    if problems:
+        raise FieldsInvalid(problems=problems)
+    return fields
+
+
+def usable_fields(fields: MetadataFields) -> MetadataFields:
+    """Return fields that came from a form, if missions can be judged by them.
+
+    Raises:
+        FieldsInvalid: they are not usable; names every problem by its place, such as `fields.3.pattern`.
+    """
+    problems = [
+        FieldProblem(field=".".join(map(str, path)), message=message)
+        for at, field in enumerate(fields.fields)
+        for path, message in _judged(at, field)
+    ]
     if problems:
         raise FieldsInvalid(problems=problems)
     return fields
@@ -81,14 +101,14 @@ def _spoken(value: JsonValue, path: Path) -> str:
     return ".".join(str(part) for part in path) or "fields.yaml"
 
 
-def _judged(document: Document, at: int, field: MetadataField) -> list[FieldProblem]:
+def _judged(at: int, field: MetadataField) -> list[tuple[Path, str]]:
     try:
         judge = Judge(MetadataFields(fields=[field]))
     except SchemaError as error:
         reason = str(error).strip().splitlines()[-1].split("rror: ")[-1]
-        return [_placed(document, ("fields", at, "pattern"), f"is not a regular expression: {reason}")]
+        return [(("fields", at, "pattern"), f"is not a regular expression: {reason}")]
     try:
         judge.accept_default(field)
     except Wrong as wrong:
-        return [_placed(document, ("fields", at, "default"), str(wrong))]
+        return [(("fields", at, "default"), str(wrong))]
     return []

@@ -70,5 +70,5 @@ async def delete_project(project_id: uuid.UUID, db: Transaction, actor: CurrentA
 
 @router.get("/{project_id}/template", operation_id="get_mission_template")
 async def get_mission_template(project_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> MissionTemplate:
-    """Return the metadata YAML to fill in for the project's next mission."""
+    """Return what to fill in for the project's next mission, as YAML and as a form."""
     return await service.get_template(db, actor, project_id)

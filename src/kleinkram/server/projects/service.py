@@ -23,7 +23,7 @@ from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.projects import queries
-from kleinkram.server.projects.fields import read_fields
+from kleinkram.server.projects.fields import read_fields, usable_fields
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import project
 
@@ -67,7 +67,7 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
         NameTaken: there is a project of that name.
     """
     by_power = await require_creator(db, actor, creators, noun="project")
-    fields = await asyncio.to_thread(read_fields, wanted.fields_yaml)
+    fields = await _declared(wanted) or MetadataFields()
     project_id = uuid.uuid4()
     values = {"name": wanted.name, "name_key": name_key(wanted.name), "metadata_fields": _stored(fields)}
     statement = insert(project).values(
@@ -99,7 +99,7 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
     """
-    fields = None if changes.fields_yaml is None else await asyncio.to_thread(read_fields, changes.fields_yaml)
+    fields = await _declared(changes)
     await db.execute(queries.lock_project(actor, project_id))
     await require_project(db, actor, "update_project", project_id)
     old = await get_project(db, actor, project_id)
@@ -140,13 +140,18 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 
 
 async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:
-    """Return the metadata YAML to fill in for the next mission, prefilled from the last one.
+    """Return what to fill in for the next mission, prefilled from the last one.
 
     Raises:
         NotFound: the project is not there, or not for this actor.
     """
-    text, source = await missions.template_for(db, actor, project_id=project_id)
-    return MissionTemplate(yaml=text, prefilled_from=source)
+    return await missions.template_for(db, actor, project_id=project_id)
+
+
+async def _declared(said: ProjectCreate | ProjectUpdate) -> MetadataFields | None:
+    if said.metadata_fields is not None:
+        return await asyncio.to_thread(usable_fields, said.metadata_fields)
+    return None if said.fields_yaml is None else await asyncio.to_thread(read_fields, said.fields_yaml)
 
 
 async def _see_that_it_may_change(
@@ -194,7 +199,9 @@ def _changes(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     held = old.model_dump(mode="json", include={"name", "description", *_OF_RELEASE, *_OF_QUOTA})
     held["metadata_fields"] = _stored(old.metadata_fields)
-    given: dict[str, Any] = changes.model_dump(exclude={"fields_yaml", *_OF_QUOTA}, exclude_none=True)
+    given: dict[str, Any] = changes.model_dump(
+        exclude={"fields_yaml", "metadata_fields", *_OF_QUOTA}, exclude_none=True
+    )
     given |= changes.model_dump(include=_OF_QUOTA, exclude_unset=True)  # of these, null says something
     given |= {} if fields is None else {"metadata_fields": _stored(fields)}
     after = {name: value for name, value in given.items() if value != held[name]}
