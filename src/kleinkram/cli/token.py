@@ -101,7 +101,7 @@ def revoke(
     everybody: Everybody = False,
     as_json: AsJson = False,
 ) -> None:
-    """End a token, from the next request on."""
+    """End a token, and all that were made with it, from the next request on."""
     with connect() as client:
         found = client.tokens.get(ref, everybody=everybody)
         client.tokens.revoke(found.id)

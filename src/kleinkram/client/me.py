@@ -24,12 +24,12 @@ class Me:
         return self._api.get("/me", MeRead)
 
     def sign_out(self) -> None:
-        """Revoke the token in use: from the next request on it is good for nothing.
+        """Revoke the token in use: from the next request on it is good for nothing. Those made with it stay.
 
         Raises:
             NotAuthenticated: it already was.
         """
-        self._api.delete(f"/tokens/{self.get().credential.id}")
+        self._api.delete(f"/tokens/{self.get().credential.id}", [("made", "kept")])
 
     def sessions(self) -> Iterator[SessionRead]:
         """Yield the browsers that one is signed in with."""

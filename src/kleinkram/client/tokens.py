@@ -75,7 +75,7 @@ class Tokens:
         return begun[0] if len(begun) == 1 else the_one("token", ref, rows, name=_name, label=token_label)
 
     def revoke(self, token_id: uuid.UUID) -> None:
-        """End a token, from the next request on."""
+        """End a token, those that were made with it, and those made with these, from the next request on."""
         self._api.delete(f"/tokens/{token_id}")
 
 

@@ -15,6 +15,7 @@ from kleinkram.contract.errors import FileExists
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
 from tests.integration import people
+from tests.integration.races import racing
 from tests.integration.running import Api
 from tests.integration.uploading import upload
 
@@ -203,6 +204,46 @@ def test_any_token_may_end_itself_and_no_other_without_the_scope(api: Api) -> No
     its.delete(f"/tokens/{other['token']['id']}").refused(403, "scope_missing")
     its.delete(f"/tokens/{robot['token']['id']}").ok(204)
     its.get("/projects").refused(401, "not_authenticated")
+
+
+def test_what_a_token_made_ends_with_it(api: Api) -> None:
+    ada = people.person(api)
+    hers = api.as_(ada.token)
+    stolen, other = _made(hers, scopes=["admin"]), _made(hers, scopes=["admin"])
+    child = _made(api.as_(stolen["secret"]), scopes=["admin"], name="child")
+    grandchild = _made(api.as_(child["secret"]), scopes=["read"], name="grandchild")
+    hers.delete(f"/tokens/{stolen['token']['id']}").ok(204)
+    for made in (stolen, child, grandchild):
+        api.as_(made["secret"]).get("/me").refused(401, "not_authenticated")
+        ended, _ = api.events(made["token"]["id"])
+        assert ended["operation"] == "token.revoke"
+        assert ended["after"].get("made_with") == (None if made is stolen else "a token")
+    api.as_(other["secret"]).get("/me").ok()
+
+
+def test_who_signs_out_keeps_what_they_made_until_somebody_ends_that(api: Api) -> None:
+    ada = people.person(api)
+    hers = api.as_(ada.token)
+    laptop = _made(hers, scopes=["admin"])
+    path = f"/tokens/{laptop['token']['id']}"
+    robots = _made(api.as_(laptop["secret"]), name="robot")
+    api.as_(laptop["secret"]).delete(path, {"made": "kept"}).ok(204)
+    api.as_(laptop["secret"]).get("/me").refused(401, "not_authenticated")
+    api.as_(robots["secret"]).get("/me").ok()
+    hers.delete(path).ok(204)
+    api.as_(robots["secret"]).get("/me").refused(401, "not_authenticated")
+
+
+def test_no_token_is_made_with_one_that_is_being_revoked(api: Api) -> None:
+    ada = people.person(api)
+    stolen = people.token(api, ada, [Scope.admin])
+    with_it = api.as_(stolen.secret)
+    with racing(api, "SELECT id FROM person WHERE id = %s FOR UPDATE", ada.id) as send:
+        revoking = send(api.as_(ada.token).delete, f"/tokens/{stolen.id}")
+        making = send(with_it.post, "/tokens", {"name": "child"})
+    revoking.result().ok(204)
+    making.result().refused(401, "not_authenticated")
+    assert api.sql("SELECT 1 FROM token WHERE made_by_token_id = %s AND revoked_at IS NULL", stolen.id) == []
 
 
 def test_a_secret_that_was_cut_or_mistyped_can_be_told(api: Api) -> None:

@@ -1349,7 +1349,7 @@ export interface paths {
         readonly post?: never;
         /**
          * Revoke Token
-         * @description End a token, from the next request on.
+         * @description End a token and all that were made with it, from the next request on; with `made=kept` only itself.
          */
         readonly delete: operations["revoke_token"];
         readonly options?: never;
@@ -2222,6 +2222,12 @@ export interface components {
             /** Url */
             readonly url: string;
         };
+        /**
+         * Made
+         * @description What becomes of the tokens that one made, when it ends.
+         * @enum {string}
+         */
+        readonly Made: "ended" | "kept";
         /**
          * MemberRead
          * @description Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
@@ -10440,7 +10446,9 @@ export interface operations {
     };
     readonly revoke_token: {
         readonly parameters: {
-            readonly query?: never;
+            readonly query?: {
+                readonly made?: components["schemas"]["Made"];
+            };
             readonly header?: never;
             readonly path: {
                 readonly token_id: string;

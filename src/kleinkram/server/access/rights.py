@@ -95,6 +95,11 @@ async def see_that_they_stay(db: Connection, person_id: uuid.UUID | None) -> Non
         raise NotAuthenticated(reason="the account was deactivated")
 
 
+async def hold_person(db: Connection, person_id: uuid.UUID) -> None:
+    """Keep credentials from being made for somebody until this transaction ends: those that end are all there are."""
+    await db.execute(select(person.c.id).where(person.c.id == person_id).with_for_update())
+
+
 async def hold_rights(db: Connection) -> None:
     """Keep everybody else from taking rights away until this transaction ends."""
     await db.execute(select(func.pg_advisory_xact_lock(_TAKING)))

@@ -77,6 +77,8 @@ token = Table(
     Column("expires_at", DateTime(timezone=True)),
     Column("last_used_at", DateTime(timezone=True)),
     Column("revoked_at", DateTime(timezone=True)),
+    # With which token it was made: it ends with that one. None where somebody was signed in by a browser.
+    Column("made_by_token_id", Uuid, ForeignKey("token.id"), index=True),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
     CheckConstraint(
         f"scopes <@ ARRAY[{', '.join(repr(scope.value) for scope in Scope)}]::text[]",

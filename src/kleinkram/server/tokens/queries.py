@@ -26,6 +26,13 @@ def tokens_of(person_id: uuid.UUID | None) -> Select[Any]:
     return stmt if person_id is None else stmt.where(token.c.person_id == person_id)
 
 
+def made_from(token_id: uuid.UUID) -> Select[Any]:
+    """Return the ids of a token, of those that were made with it, of those made with these, and so on."""
+    line = select(token.c.id).where(token.c.id == token_id).cte("line", recursive=True)
+    line = line.union(select(token.c.id).join(line, token.c.made_by_token_id == line.c.id))
+    return select(line.c.id)
+
+
 def still_usable(stmt: Select[Any]) -> Select[Any]:
     """Return those of a select's tokens that have neither been revoked nor expired."""
     return stmt.where(token.c.revoked_at.is_(None), func.coalesce(token.c.expires_at > func.now(), True))

@@ -44,6 +44,8 @@ async def list_tokens(
 
 
 @router.delete("/{token_id}", operation_id="revoke_token", status_code=204)
-async def revoke_token(token_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
-    """End a token, from the next request on."""
-    await service.revoke_token(db, actor, token_id=token_id)
+async def revoke_token(
+    token_id: uuid.UUID, db: Transaction, actor: CurrentActor, made: service.Made = service.Made.ended
+) -> None:
+    """End a token and all that were made with it, from the next request on; with `made=kept` only itself."""
+    await service.revoke_token(db, actor, token_id=token_id, made=made)

@@ -1,6 +1,7 @@
 """What may be done with tokens. Their secrets leave the server once, in the answer that makes them."""
 
 import datetime
+import enum
 import uuid
 from dataclasses import dataclass
 from typing import Any
@@ -11,18 +12,20 @@ from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
     InvalidRequest,
+    NotAuthenticated,
     NotFound,
     ScopeMissing,
     TokenTooWide,
 )
+from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import see_that_they_stay
+from kleinkram.server.access.rights import hold_person, see_that_they_stay
 from kleinkram.server.access.secrets import NewSecret, new_secret
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.pages import PageRequest, Rows, fetch_page
 from kleinkram.server.tables import token, token_limit
@@ -42,6 +45,13 @@ class Whose:
     person_id: uuid.UUID | None
 
 
+class Made(str, enum.Enum):
+    """What becomes of the tokens that one made, when it ends."""
+
+    ended = "ended"
+    kept = "kept"
+
+
 async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> TokenMade:
     """Make a token for `actor` and return it with its secret.
 
@@ -56,7 +66,9 @@ async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> 
     await _see_that_places_are_there(db, actor, wanted)
     expires_at = await _expiry(db, actor, wanted)
     _see_that_it_is_no_wider(actor, wanted)
-    token_id, secret = await issue_token(db, actor.person_id, wanted=wanted, expires_at=expires_at)
+    token_id, secret = await issue_token(
+        db, actor.person_id, wanted=wanted, expires_at=expires_at, made_by=actor.token_id
+    )
     made = await get_token(db, actor, token_id)
     after = made.model_dump(mode="json", include={"kind", "scopes", "limits", "expires_at", "prefix"})
     event = Event(
@@ -67,14 +79,24 @@ async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> 
 
 
 async def issue_token(
-    db: Connection, person_id: uuid.UUID | None, *, wanted: TokenCreate, expires_at: datetime.datetime | None
+    db: Connection,
+    person_id: uuid.UUID | None,
+    *,
+    wanted: TokenCreate,
+    expires_at: datetime.datetime | None,
+    made_by: uuid.UUID | None = None,
 ) -> tuple[uuid.UUID, NewSecret]:
     """Put a token there for somebody; whether they may have it, and the record, are the caller's.
 
+    `made_by` is the token that it is made with, if any.
+
     Raises:
-        NotAuthenticated: they left.
+        NotAuthenticated: they left, or that token was revoked just now.
     """
     await see_that_they_stay(db, person_id)
+    ended = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
+    if (await db.execute(ended)).first() is not None:
+        raise NotAuthenticated(reason="the token is not valid here")
     token_id = uuid.uuid4()
     secret = new_secret(_SECRETS[wanted.kind])
     await db.execute(
@@ -88,6 +110,7 @@ async def issue_token(
             scopes=[scope.value for scope in wanted.chosen_scopes],
             is_limited=wanted.is_limited,
             expires_at=expires_at,
+            made_by_token_id=made_by,
         )
     )
     limits = [{"project_id": each, "mission_id": None} for each in dict.fromkeys(wanted.project_ids)]
@@ -124,8 +147,8 @@ async def list_tokens(
     return Page(items=await _reads(db, actor, rows), next=rows.next, total=rows.total)
 
 
-async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID) -> None:
-    """End a token, from the next request on. Nothing happens to one that has been revoked already.
+async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, made: Made = Made.ended) -> None:
+    """End a token, and those that it made and they made, from the next request on; what has ended stays so.
 
     Any token may end itself; to end another takes the scope admin.
 
@@ -136,14 +159,18 @@ async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID) -> 
     if token_id != actor.token_id and Scope.admin not in actor.scopes:
         raise ScopeMissing(operation="revoke another token", scopes=Scope.admin.value)
     row = await _row(db, actor, token_id)
-    open_still = (token.c.id == token_id) & token.c.revoked_at.is_(None)
-    revoked = await db.execute(update(token).where(open_still).values(revoked_at=func.now()).returning(token.c.id))
-    if revoked.first() is not None:
-        after = {"prefix": row.prefix, "person": row.person_name}
-        by_power = row.person_id != actor.person_id
-        await record(
-            db, actor, Event("token.revoke", "token", token_id, row.name, None, after=after, by_power=by_power)
-        )
+    await hold_person(db, row.person_id)
+    which = queries.made_from(token_id) if made is Made.ended else select(token.c.id).where(token.c.id == token_id)
+    stmt = update(token).where(token.c.id.in_(which), token.c.revoked_at.is_(None)).values(revoked_at=func.now())
+    ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
+    by_power = row.person_id != actor.person_id
+    events = []
+    for each in ended:
+        after: Metadata = {"prefix": each.prefix, "person": row.person_name}
+        if each.id != token_id:
+            after["made_with"] = row.name
+        events.append(Event("token.revoke", "token", each.id, each.name, None, after=after, by_power=by_power))
+    await record_all(db, actor, events)
 
 
 def _sees_others(actor: Actor) -> bool:
