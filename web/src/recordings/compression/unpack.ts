@@ -27,9 +27,21 @@ function asItIs(packed: Uint8Array, size: number): Uint8Array {
   return packed;
 }
 
+/** The frame's own word on its size must agree; where it gives none (streamed), the chunk's checksum tells. */
 function unpackZstd(packed: Uint8Array, size: number): Uint8Array {
-  // A byte more than promised, to see a frame that holds more.
-  const bytes = decompress(packed, new Uint8Array(size + 1));
-  if (bytes.length !== size) throw new RangeError(`not ${size} bytes`);
-  return bytes;
+  const said = zstdContentSize(packed);
+  if (said !== null && said !== size) throw new RangeError(`${said} bytes instead of ${size}`);
+  return decompress(packed, new Uint8Array(size)); // a RangeError where it holds more
+}
+
+/** Source: RFC 8878, 3.1.1.1 (frame header). */
+function zstdContentSize(packed: Uint8Array): number | null {
+  const view = new DataView(packed.buffer, packed.byteOffset, packed.byteLength);
+  const descriptor = view.getUint8(4);
+  const isSingle = (descriptor & 0x20) !== 0;
+  const at = 5 + (isSingle ? 0 : 1) + ([0, 1, 2, 4][descriptor & 3] ?? 0);
+  const flag = descriptor >> 6;
+  if (flag === 0) return isSingle ? view.getUint8(at) : null;
+  if (flag === 1) return view.getUint16(at, true) + 256;
+  return flag === 2 ? view.getUint32(at, true) : Number(view.getBigUint64(at, true));
 }

@@ -1,0 +1,163 @@
+/** ROS 1 bags by their own index: the connections and chunk infos at the end, then only chunks that hold the topic. */
+
+import { unpack } from "../compression/unpack";
+import { ReadFailure } from "../failures";
+import { MOST_HELD } from "../limits";
+import type { Ranges } from "../ranges";
+import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
+import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+
+const HEADER = 4096 + MAGIC.length;
+
+interface Chunk extends Span {
+  at: number;
+  /** Where the next chunk, or the index of the file, begins. */
+  end: number;
+  counts: ReadonlyMap<number, number>;
+}
+
+interface Connection {
+  topic: string;
+  schema: Schema;
+}
+
+/** Open a bag: reads its header and the index at its end.
+ *
+ * @throws ReadFailure no_index where it was never closed; index_damaged.
+ */
+export async function openBag(source: Ranges): Promise<Recording> {
+  const front = await source.read(0, Math.min(HEADER, source.sizeBytes));
+  if (text(front.subarray(0, MAGIC.length)) !== MAGIC) throw new ReadFailure("not_readable_here");
+  const header = headAt(front, MAGIC.length);
+  const indexAt = uint64(header.fields.get("index_pos"));
+  if (header.op !== Op.header || indexAt === 0) throw new ReadFailure("no_index");
+  if (indexAt > source.sizeBytes) throw new ReadFailure("no_index");
+  const index = await source.read(indexAt, source.sizeBytes - indexAt);
+  const connections = new Map<number, Connection>();
+  const chunks: Chunk[] = [];
+  for (let at = 0; at < index.length; ) {
+    const record = recordAt(index, at);
+    if (record.op === Op.connection) connections.set(uint32(record.fields.get("conn")), connection(record));
+    else if (record.op === Op.chunkInfo) chunks.push(chunkInfo(record));
+    else throw new ReadFailure("index_damaged", `a record of kind ${record.op}`);
+    at = record.next;
+  }
+  return new BagRecording(source, connections, placed(chunks, indexAt));
+}
+
+function connection(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Connection {
+  const about = fieldsOf(record.data);
+  const definition = about.get("message_definition")?.slice() ?? new Uint8Array();
+  const schema = { name: text(about.get("type")), encoding: "ros1msg", messageEncoding: "ros1", definition };
+  return { topic: text(record.fields.get("topic") ?? about.get("topic")), schema };
+}
+
+function chunkInfo(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Chunk {
+  const counts = new Map<number, number>();
+  for (let at = 0; at + 8 <= record.data.length; at += 8) counts.set(uint32(record.data, at), uint32(record.data, at + 4));
+  const { fields } = record;
+  const [fromNs, toNs] = [timeAt(fields.get("start_time")), timeAt(fields.get("end_time"))];
+  return { at: uint64(fields.get("chunk_pos")), end: 0, fromNs, toNs, counts };
+}
+
+/** Give each chunk its end, and put them in order of time. */
+function placed(chunks: Chunk[], indexAt: number): Chunk[] {
+  chunks.sort((a, b) => a.at - b.at);
+  chunks.forEach((chunk, number) => {
+    chunk.end = chunks[number + 1]?.at ?? indexAt;
+    if (chunk.end <= chunk.at || chunk.end > indexAt) throw new ReadFailure("index_damaged", `a chunk at ${chunk.at}`);
+  });
+  return chunks.sort((a, b) => (a.fromNs < b.fromNs ? -1 : a.fromNs > b.fromNs ? 1 : a.at - b.at));
+}
+
+class BagRecording implements Recording {
+  readonly span: Span | null;
+  readonly topics: readonly RecordedTopic[];
+
+  constructor(
+    readonly source: Ranges,
+    private readonly connections: ReadonlyMap<number, Connection>,
+    private readonly chunks: readonly Chunk[],
+  ) {
+    const [first] = chunks;
+    const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
+    this.span = first === undefined ? null : { fromNs: first.fromNs, toNs: latest };
+    const named = [...connections.values()].map(({ topic, schema }) => [topic, { name: topic, schema }] as const);
+    this.topics = [...new Map(named).values()];
+  }
+
+  pieces(topic: string, span: Span): Piece[] {
+    const ids = this.ids(topic);
+    return this.holding(ids, span).map(({ fromNs, toNs, at, end }) => ({ fromNs, toNs, bytes: end - at }));
+  }
+
+  async *messages(topic: string, span: Span, order: Order): AsyncIterable<Message> {
+    const ids = this.ids(topic);
+    const chunks = this.holding(ids, span);
+    const forward = order === "forward";
+    if (!forward) chunks.sort((a, b) => (a.toNs > b.toNs ? -1 : a.toNs < b.toNs ? 1 : b.at - a.at));
+    let waiting: { message: Message; held: number }[] = [];
+    for (const [number, chunk] of chunks.entries()) {
+      const { messages, unpacked } = await this.read(chunk, ids);
+      const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
+      waiting = waiting.concat(within.map((message, place) => ({ message, held: place === 0 ? unpacked : 0 })));
+      if (waiting.reduce((sum, { held }) => sum + held, 0) > MOST_HELD) throw new ReadFailure("too_large");
+      waiting.sort(({ message: a }, { message: b }) => byTime(a, b, forward));
+      const next = chunks[number + 1];
+      // What the next chunk cannot come before is ready to go.
+      const ready = waiting.findIndex(({ message: { logTimeNs } }) =>
+        next === undefined ? false : forward ? logTimeNs > next.fromNs : logTimeNs < next.toNs,
+      );
+      const count = ready < 0 ? waiting.length : ready;
+      for (const { message } of waiting.slice(0, count)) yield message;
+      waiting = waiting.slice(count);
+    }
+  }
+
+  private ids(topic: string): Set<number> {
+    return new Set([...this.connections].filter(([, { topic: name }]) => name === topic).map(([id]) => id));
+  }
+
+  private holding(ids: ReadonlySet<number>, span: Span): Chunk[] {
+    return this.chunks.filter(
+      (chunk) =>
+        chunk.fromNs <= span.toNs && chunk.toNs >= span.fromNs && [...chunk.counts.keys()].some((id) => ids.has(id)),
+    );
+  }
+
+  private async read(chunk: Chunk, ids: ReadonlySet<number>): Promise<{ messages: Message[]; unpacked: number }> {
+    const bytes = await this.source.read(chunk.at, chunk.end - chunk.at);
+    const record = recordAt(bytes, 0);
+    if (record.op !== Op.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${chunk.at}`);
+    const unpacked = unpack(text(record.fields.get("compression")), record.data, uint32(record.fields.get("size")));
+    let messages: Message[] = [];
+    for (let at = record.next; at < bytes.length; ) {
+      const index = recordAt(bytes, at);
+      if (index.op === Op.index) messages = messages.concat(this.indexed(index, ids, unpacked));
+      at = index.next;
+    }
+    return { messages, unpacked: unpacked.length };
+  }
+
+  private indexed(
+    index: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array },
+    ids: ReadonlySet<number>,
+    unpacked: Uint8Array,
+  ): Message[] {
+    const id = uint32(index.fields.get("conn"));
+    const schema = this.connections.get(id)?.schema;
+    if (schema === undefined || !ids.has(id)) return [];
+    const messages: Message[] = [];
+    for (let at = 0; at + 12 <= index.data.length; at += 12) {
+      const record = recordAt(unpacked, uint32(index.data, at + 8));
+      if (record.op !== Op.message) throw new ReadFailure("chunk_damaged", "an index that points nowhere");
+      messages.push({ logTimeNs: timeAt(index.data, at), schema, data: record.data });
+    }
+    return messages;
+  }
+}
+
+function byTime(a: Message, b: Message, forward: boolean): number {
+  if (a.logTimeNs === b.logTimeNs) return 0;
+  return a.logTimeNs < b.logTimeNs === forward ? -1 : 1;
+}

@@ -1,0 +1,128 @@
+/** MCAP by its own index: the summary at the end, then only chunks that hold what is asked for. */
+
+import { McapIndexedReader } from "@mcap/core";
+import { unpack } from "../compression/unpack";
+import { failureOf, ReadFailure } from "../failures";
+import { MOST_HELD, MOST_READ_AT_ONCE } from "../limits";
+import type { Ranges } from "../ranges";
+import { mostHeld } from "./recording";
+import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+
+const TAIL = 512 * 1024;
+
+/** Open an MCAP: reads its beginning and its summary.
+ *
+ * @throws ReadFailure no_index where it was never closed or has no chunk index; index_damaged.
+ */
+export async function openMcap(source: Ranges): Promise<Recording> {
+  const tail = Math.min(TAIL, source.sizeBytes);
+  await source.read(source.sizeBytes - tail, tail); // one request for what is mostly the whole summary
+  let reader: McapIndexedReader;
+  try {
+    reader = await McapIndexedReader.Initialize({ readable: readable(source), decompressHandlers: HANDLERS });
+  } catch (thrown) {
+    const said = thrown instanceof Error ? thrown.message : "";
+    throw /not indexed|Magic|footer/i.test(said) ? new ReadFailure("no_index") : failureOf(thrown, "index_damaged");
+  }
+  const isEmpty = reader.statistics?.messageCount === 0n;
+  if (reader.chunkIndexes.length === 0 && !isEmpty) throw new ReadFailure("no_index");
+  return new McapRecording(source, reader);
+}
+
+const HANDLERS = Object.fromEntries(
+  ["lz4", "zstd"].map((name) => [name, (bytes: Uint8Array, size: bigint) => unpack(name, bytes, Number(size))]),
+);
+
+function readable(source: Ranges): { size: () => Promise<bigint>; read: (o: bigint, l: bigint) => Promise<Uint8Array> } {
+  return {
+    size: () => Promise.resolve(BigInt(source.sizeBytes)),
+    read: (offset, length) => source.read(Number(offset), Number(length)),
+  };
+}
+
+type ChunkIndex = McapIndexedReader["chunkIndexes"][number];
+
+class McapRecording implements Recording {
+  readonly span: Span | null;
+  readonly topics: readonly RecordedTopic[];
+  private readonly channels = new Map<number, { topic: string; schema: Schema }>();
+
+  constructor(
+    readonly source: Ranges,
+    private readonly reader: McapIndexedReader,
+  ) {
+    this.span = spanOf(reader.chunkIndexes);
+    for (const channel of reader.channelsById.values()) {
+      const schema = reader.schemasById.get(channel.schemaId);
+      this.channels.set(channel.id, {
+        topic: channel.topic,
+        schema: {
+          name: schema?.name ?? "",
+          encoding: schema?.encoding ?? "",
+          messageEncoding: channel.messageEncoding,
+          definition: schema?.data ?? new Uint8Array(),
+        },
+      });
+    }
+    this.topics = [...new Map([...this.channels.values()].map(({ topic, schema }) => [topic, { name: topic, schema }])).values()];
+  }
+
+  pieces(topic: string, span: Span): Piece[] {
+    return this.chunks(topic, span).map((chunk) => ({
+      fromNs: chunk.messageStartTime,
+      toNs: chunk.messageEndTime,
+      bytes: Number(chunk.chunkLength + chunk.messageIndexLength),
+    }));
+  }
+
+  async *messages(topic: string, span: Span, order: Order): AsyncIterable<Message> {
+    this.checkSizes(this.chunks(topic, span));
+    const wanted = { topics: [topic], startTime: span.fromNs, endTime: span.toNs, reverse: order === "backward" };
+    for await (const message of this.named(this.reader.readMessages(wanted))) {
+      const channel = this.channels.get(message.channelId);
+      if (channel !== undefined) yield { logTimeNs: message.logTime, schema: channel.schema, data: message.data };
+    }
+  }
+
+  private chunks(topic: string, span: Span): ChunkIndex[] {
+    const ids = [...this.channels].filter(([, channel]) => channel.topic === topic).map(([id]) => id);
+    return this.reader.chunkIndexes
+      .filter((chunk) => chunk.messageStartTime <= span.toNs && chunk.messageEndTime >= span.fromNs)
+      .filter((chunk) => chunk.messageIndexOffsets.size === 0 || ids.some((id) => chunk.messageIndexOffsets.has(id)))
+      .sort((a, b) => (a.messageStartTime < b.messageStartTime ? -1 : 1));
+  }
+
+  private checkSizes(chunks: ChunkIndex[]): void {
+    const longest = Math.max(0, ...chunks.map((chunk) => Number(chunk.chunkLength)));
+    if (longest > MOST_READ_AT_ONCE) throw new ReadFailure("too_large", String(longest));
+    const spans = chunks.map((chunk) => ({
+      fromNs: chunk.messageStartTime,
+      toNs: chunk.messageEndTime,
+      bytes: Number(chunk.uncompressedSize),
+    }));
+    const held = mostHeld(spans, (chunk) => chunk.bytes);
+    if (held > MOST_HELD) throw new ReadFailure("too_large", String(held));
+  }
+
+  private async *named<T>(messages: AsyncIterable<T>): AsyncIterable<T> {
+    try {
+      yield* messages;
+    } catch (thrown) {
+      throw failureOf(thrown, "chunk_damaged");
+    }
+  }
+}
+
+function spanOf(chunks: readonly ChunkIndex[]): Span | null {
+  // A chunk without messages says that it spans 0 to 0.
+  const filled = chunks.filter((chunk) => chunk.messageEndTime > 0n);
+  const [first] = filled;
+  if (first === undefined) return null;
+  return filled.reduce<Span>(
+    (span, chunk) => ({
+      fromNs: chunk.messageStartTime < span.fromNs ? chunk.messageStartTime : span.fromNs,
+      toNs: chunk.messageEndTime > span.toNs ? chunk.messageEndTime : span.toNs,
+    }),
+    { fromNs: first.messageStartTime, toNs: first.messageEndTime },
+  );
+}

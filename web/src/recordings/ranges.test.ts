@@ -1,0 +1,68 @@
+import { describe, expect, it } from "vitest";
+import { BLOCK, MOST_READ_AT_ONCE } from "./limits";
+import { storeOf } from "./testing/store";
+
+const BYTES = Uint8Array.from({ length: 5 * BLOCK + 17 }, (_, at) => (at * 7 + (at >> 8)) & 255);
+
+describe("Ranges", () => {
+  it("gives the bytes asked for, across blocks and at the end", async () => {
+    const { ranges } = storeOf(BYTES);
+    const wanted: [number, number][] = [[0, 10], [BLOCK - 3, 6], [2 * BLOCK, BLOCK], [BYTES.length - 20, 20], [0, BYTES.length]];
+    for (const [offset, length] of wanted) {
+      const found = await ranges.read(offset, length);
+      expect(found).toHaveLength(length);
+      expect(found.every((byte, at) => byte === BYTES[offset + at])).toBe(true);
+    }
+    expect(ranges.bytesRead).toBe(BYTES.length);
+  });
+
+  it("asks once for neighbours, and not again for what it has", async () => {
+    const { ranges, answers } = storeOf(BYTES);
+    await ranges.read(10, 2 * BLOCK);
+    await ranges.read(0, 3 * BLOCK);
+    expect(answers).toEqual([3 * BLOCK]);
+    await ranges.read(BLOCK, 4 * BLOCK);
+    expect(answers).toEqual([3 * BLOCK, 2 * BLOCK]);
+  });
+
+  it("reads ahead where it is told to", async () => {
+    const { ranges, answers } = storeOf(BYTES);
+    ranges.ahead = 4 * BLOCK;
+    await ranges.read(0, 1);
+    expect(answers).toEqual([4 * BLOCK]);
+  });
+
+  it("asks for another address when one expires, by the clock or by the store's word", async () => {
+    const soon = storeOf(BYTES, { lifeMs: 1000 });
+    await soon.ranges.read(0, 1);
+    await soon.ranges.read(BLOCK, 1);
+    expect(soon.renewals()).toBe(2);
+    const refused = storeOf(BYTES);
+    await refused.ranges.read(0, 1);
+    refused.expire();
+    expect(await refused.ranges.read(BLOCK, 1)).toEqual(BYTES.slice(BLOCK, BLOCK + 1));
+    expect(refused.renewals()).toBe(2);
+  });
+
+  it("notices that the file is another one now", async () => {
+    const { ranges, change } = storeOf(BYTES);
+    await ranges.read(0, 1);
+    change(BYTES.slice().fill(0));
+    await expect(ranges.read(BLOCK, 1)).rejects.toMatchObject({ code: "file_changed" });
+  });
+
+  it("refuses what is outside of the file, and more than it holds at once", async () => {
+    const { ranges } = storeOf(BYTES);
+    for (const [offset, length] of [[-1, 2], [0, BYTES.length + 1], [NaN, 1], [1, -1]] as const) {
+      await expect(ranges.read(offset, length)).rejects.toMatchObject({ code: "index_damaged" });
+    }
+    const large = storeOf(new Uint8Array(MOST_READ_AT_ONCE + BLOCK));
+    await expect(large.ranges.read(0, MOST_READ_AT_ONCE + 1)).rejects.toMatchObject({ code: "too_large" });
+  });
+
+  it("ends when it is told to", async () => {
+    const { ranges } = storeOf(BYTES);
+    ranges.signal = AbortSignal.abort();
+    await expect(ranges.read(0, 1)).rejects.toMatchObject({ code: "cancelled" });
+  });
+});

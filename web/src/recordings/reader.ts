@@ -1,0 +1,157 @@
+/** The page's side of the reading worker: asks, cancels, and starts another where one dies or falls silent. */
+
+import { ReadFailure } from "./failures";
+import type { FailureCode } from "./failures";
+import { WORKER_PATIENCE_MS } from "./limits";
+import type {
+  Answers,
+  CurvesRequest,
+  DrawnCurves,
+  FromWorker,
+  OpenRequest,
+  PictureRequest,
+  Request,
+  ToWorker,
+} from "./protocol";
+import type { Address } from "./ranges";
+
+/** What of a Worker is used. */
+export interface WorkerLike {
+  postMessage(message: ToWorker): void;
+  terminate(): void;
+  onmessage: ((event: MessageEvent<FromWorker>) => void) | null;
+  onerror: ((event: ErrorEvent) => void) | null;
+  onmessageerror: ((event: MessageEvent) => void) | null;
+}
+
+export interface ReaderOptions {
+  file: Omit<OpenRequest, "kind">;
+  /** Asks the server for an address; rejects with a ReadFailure where it gives none. */
+  address: () => Promise<Address>;
+  start: () => WorkerLike;
+  onRead?: (bytes: number) => void;
+  patienceMs?: number;
+}
+
+interface Waiting {
+  resolve: (answer: never) => void;
+  reject: (failure: ReadFailure) => void;
+  onCurves: ((curves: DrawnCurves) => void) | undefined;
+}
+
+export interface AskOptions {
+  signal?: AbortSignal;
+  onCurves?: (curves: DrawnCurves) => void;
+}
+
+export class RecordingReader {
+  private worker: WorkerLike | null = null;
+  private opened: Promise<Answers["open"]> | null = null;
+  private readonly waiting = new Map<number, Waiting>();
+  private lastId = 0;
+  private watch: ReturnType<typeof setTimeout> | undefined;
+  private readBefore = 0;
+  private readNow = 0;
+
+  constructor(private readonly options: ReaderOptions) {}
+
+  /** Open the recording, once a worker. */
+  open(): Promise<Answers["open"]> {
+    this.opened ??= this.send<"open">({ kind: "open", ...this.options.file }, {});
+    this.opened.catch(() => (this.opened = null));
+    return this.opened;
+  }
+
+  async picture(request: Omit<PictureRequest, "kind">, options: AskOptions = {}): Promise<Answers["picture"]> {
+    await this.open();
+    return this.send<"picture">({ kind: "picture", ...request }, options);
+  }
+
+  async fields(topic: string, options: AskOptions = {}): Promise<Answers["fields"]> {
+    await this.open();
+    return this.send<"fields">({ kind: "fields", topic }, options);
+  }
+
+  async curves(request: Omit<CurvesRequest, "kind">, options: AskOptions = {}): Promise<Answers["curves"]> {
+    await this.open();
+    return this.send<"curves">({ kind: "curves", ...request }, options);
+  }
+
+  /** End the worker; what is asked is cancelled. */
+  close(): void {
+    this.end("cancelled");
+  }
+
+  private send<K extends keyof Answers>(request: Request, { signal, onCurves }: AskOptions): Promise<Answers[K]> {
+    if (signal?.aborted === true) return Promise.reject(new ReadFailure("cancelled"));
+    const worker = this.started();
+    const id = ++this.lastId;
+    const cancel = (): void => worker.postMessage({ type: "cancel", id });
+    signal?.addEventListener("abort", cancel, { once: true });
+    const answer = new Promise<Answers[K]>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves }));
+    worker.postMessage({ type: "ask", id, request });
+    this.watchOver();
+    return answer.finally(() => signal?.removeEventListener("abort", cancel));
+  }
+
+  private started(): WorkerLike {
+    if (this.worker !== null) return this.worker;
+    const worker = this.options.start();
+    worker.onmessage = ({ data }) => this.hear(worker, data);
+    worker.onerror = (event) => {
+      event.preventDefault(); // it is told in words, not to the console
+      this.end("worker_ended");
+    };
+    worker.onmessageerror = () => this.end("worker_ended");
+    this.worker = worker;
+    return worker;
+  }
+
+  private hear(worker: WorkerLike, message: FromWorker): void {
+    this.watchOver();
+    if (message.type === "renew") void this.renew(worker);
+    else if (message.type === "read") this.noteRead(message.bytes);
+    else if (message.type === "progress") {
+      if (message.curves !== null) this.waiting.get(message.id)?.onCurves?.(message.curves);
+    } else {
+      const waiting = this.waiting.get(message.id);
+      this.waiting.delete(message.id);
+      if (message.type === "answer") waiting?.resolve(message.answer as never);
+      else waiting?.reject(new ReadFailure(message.code, message.detail));
+      this.watchOver();
+    }
+  }
+
+  private async renew(worker: WorkerLike): Promise<void> {
+    try {
+      worker.postMessage({ type: "address", id: 0, address: await this.options.address(), reason: "link_refused" });
+    } catch (thrown) {
+      const reason: FailureCode = thrown instanceof ReadFailure ? thrown.code : "link_refused";
+      worker.postMessage({ type: "address", id: 0, address: null, reason });
+    }
+  }
+
+  private noteRead(bytes: number): void {
+    this.readNow = bytes;
+    this.options.onRead?.(this.readBefore + bytes);
+  }
+
+  /** A worker that owes an answer and says nothing is ended: a file may be made to keep it busy for ever. */
+  private watchOver(): void {
+    clearTimeout(this.watch);
+    if (this.waiting.size === 0) return;
+    this.watch = setTimeout(() => this.end("worker_silent"), this.options.patienceMs ?? WORKER_PATIENCE_MS);
+  }
+
+  private end(code: FailureCode): void {
+    clearTimeout(this.watch);
+    this.worker?.terminate();
+    this.worker = null;
+    this.opened = null;
+    this.readBefore += this.readNow;
+    this.readNow = 0;
+    const waiting = [...this.waiting.values()];
+    this.waiting.clear();
+    for (const { reject } of waiting) reject(new ReadFailure(code));
+  }
+}

@@ -1,0 +1,191 @@
+import { parse } from "@foxglove/rosmsg";
+import { MessageWriter as Ros1Writer } from "@foxglove/rosmsg-serialization";
+import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
+import { describe, expect, it } from "vitest";
+import { ReadFailure } from "./failures";
+import { openRecording } from "./formats/open";
+import type { DrawnCurves } from "./protocol";
+import type { CurvesRequest } from "./protocol";
+import { Session } from "./session";
+import { madeBag } from "./testing/made_bag";
+import type { BagMessage } from "./testing/made_bag";
+import { madeMcap } from "./testing/made_mcap";
+import type { MadeMessage } from "./testing/made_mcap";
+import { storeOf } from "./testing/store";
+
+const START = 1_700_000_000_000_000_000n;
+const RATE_HZ = 100;
+const COUNT = 2_000;
+const VECTOR = "float64 x\nfloat64 y\n";
+const IMAGE = "uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n";
+
+const wave = (number: number): number => Math.sin(number / 30);
+const timeOf = (number: number): bigint => START + BigInt(number) * 10_000_000n;
+const image = (number: number): object => ({ height: 4, width: 4, encoding: "mono8", is_bigendian: 0, step: 4, data: new Uint8Array(16).fill(number % 256) });
+/** A picture every second from the third on; between them, much of another topic. */
+const isPicture = (number: number): boolean => number >= 300 && number % 100 === 0;
+
+async function mcap(): Promise<Uint8Array> {
+  const vector = new Ros2Writer(parse(VECTOR, { ros2: true }));
+  const pictures = new Ros2Writer(parse(IMAGE, { ros2: true }));
+  const text = (definition: string): Uint8Array => new TextEncoder().encode(definition);
+  const topics = [
+    { name: "/wave", schema: { name: "pkg/msg/Vector", encoding: "ros2msg", data: text(VECTOR) }, messageEncoding: "cdr" },
+    { name: "/camera", schema: { name: "sensor_msgs/msg/Image", encoding: "ros2msg", data: text(IMAGE) }, messageEncoding: "cdr" },
+    { name: "/words", schema: { name: "Words", encoding: "jsonschema", data: text("{}") }, messageEncoding: "json" },
+    { name: "/silent", schema: { name: "Words", encoding: "jsonschema", data: text("{}") }, messageEncoding: "json" },
+  ];
+  const messages = Array.from({ length: COUNT }, (_, number): MadeMessage[] => {
+    const logTimeNs = timeOf(number);
+    const wavy = { topic: "/wave", logTimeNs, data: vector.writeMessage({ x: wave(number), y: number }) };
+    const words = { topic: "/words", logTimeNs, data: text(JSON.stringify({ n: number, deep: [{ m: -number }] })) };
+    return isPicture(number) ? [wavy, words, { topic: "/camera", logTimeNs, data: pictures.writeMessage(image(number)) }] : [wavy, words];
+  });
+  return madeMcap(topics, messages.flat());
+}
+
+function bag(): Uint8Array {
+  const vector = new Ros1Writer(parse(VECTOR));
+  const pictures = new Ros1Writer(parse(IMAGE));
+  const messages = Array.from({ length: COUNT }, (_, number): BagMessage[] => {
+    const wavy = { connection: 0, timeNs: timeOf(number), data: vector.writeMessage({ x: wave(number), y: number }) };
+    return isPicture(number) ? [wavy, { connection: 1, timeNs: timeOf(number), data: pictures.writeMessage(image(number)) }] : [wavy];
+  }).flat();
+  const size = 50;
+  const chunks = Array.from({ length: Math.ceil(messages.length / size) }, (_, at) => messages.slice(at * size, at * size + size));
+  // Messages that come late: the last of each chunk changes places with the first of the next.
+  chunks.forEach((chunk, at) => {
+    const next = chunks[at + 1];
+    const [late, early] = [chunk.at(-1), next?.[0]];
+    if (next === undefined || late === undefined || early === undefined) return;
+    chunk[chunk.length - 1] = early;
+    next[0] = late;
+  });
+  return madeBag(
+    [
+      { topic: "/wave", type: "pkg/Vector", definition: VECTOR },
+      { topic: "/camera", type: "sensor_msgs/Image", definition: IMAGE },
+    ],
+    chunks,
+  );
+}
+
+const MADE = { mcap: mcap(), rosbag1: Promise.resolve(bag()) } as const;
+
+async function opened(format: keyof typeof MADE): Promise<{ session: Session; read: () => number; size: number }> {
+  const bytes = await MADE[format];
+  const { ranges } = storeOf(bytes);
+  return { session: new Session(await openRecording(format, ranges)), read: () => ranges.bytesRead, size: bytes.length };
+}
+
+function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
+  return { kind: "curves", topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
+}
+
+const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
+
+function shade(found: { picture: { kind: string; data: Uint8Array } }): number | undefined {
+  return found.picture.data[0];
+}
+
+describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
+  it("knows its topics and its span", async () => {
+    const { session } = await opened(format);
+    const { span, topics } = session.opened();
+    expect(span).toEqual({ fromNs: START, toNs: timeOf(COUNT - 1) });
+    expect(topics.map(({ name }) => name)).toEqual(expect.arrayContaining(["/wave", "/camera"]));
+  });
+
+  it("shows the first picture at or after a time, and its neighbours", async () => {
+    const { session } = await opened(format);
+    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ kind: "picture", topic: "/camera", atNs, step });
+    const first = await at(START, "here");
+    expect(first.logTimeNs).toBe(timeOf(300));
+    expect(shade(first)).toBe(300 % 256);
+    expect((await at(timeOf(301), "here")).logTimeNs).toBe(timeOf(400));
+    expect((await at(timeOf(400), "next")).logTimeNs).toBe(timeOf(500));
+    expect((await at(timeOf(400), "previous")).logTimeNs).toBe(timeOf(300));
+    expect((await at(timeOf(300), "previous")).logTimeNs).toBe(timeOf(300));
+    expect((await at(timeOf(COUNT), "here")).logTimeNs).toBe(timeOf(1900));
+  });
+
+  it("draws the curve that was recorded, in order, with every point", async () => {
+    const { session } = await opened(format);
+    const { seconds, values, messages, isWhole } = await session.curves(request(), quiet);
+    expect([messages, isWhole]).toEqual([COUNT, true]);
+    expect(seconds).toEqual(Array.from({ length: COUNT }, (_, number) => number / RATE_HZ));
+    expect(values[0]).toEqual(Array.from({ length: COUNT }, (_, number) => wave(number)));
+    expect(values[1]).toEqual(Array.from({ length: COUNT }, (_, number) => number));
+  });
+
+  it("reads no more than it may, and says what the whole costs", async () => {
+    const { session, size } = await opened(format);
+    const { seconds, wholeBytes, untilNs } = await session.curves(request({ mostBytes: size / 4 }), quiet);
+    expect(wholeBytes).toBeGreaterThan(size / 2);
+    expect(untilNs).toBeLessThan(timeOf(COUNT / 2));
+    expect(seconds.at(-1)).toBeGreaterThan(3);
+    expect(seconds.at(-1)).toBeLessThan(8);
+  });
+
+  it("offers the numbers of a message", async () => {
+    const { session } = await opened(format);
+    expect((await session.fields("/wave")).fields.map(({ path }) => path)).toEqual(["x", "y"]);
+  });
+
+  it("says in a word what does not work", async () => {
+    const { session } = await opened(format);
+    await expect(session.fields("/nowhere")).rejects.toMatchObject({ code: "topic_unknown" });
+    await expect(session.picture({ kind: "picture", topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
+    const ended = new AbortController();
+    ended.abort();
+    const told: DrawnCurves[] = [];
+    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => told.push(curves) }).catch((failure: unknown) => {
+      expect(failure).toMatchObject({ code: "cancelled" });
+    });
+  });
+
+  it("survives damage anywhere: a named failure, or what is there", async () => {
+    const whole = await MADE[format];
+    for (let number = 0; number < 150; number++) {
+      const bytes = whole.slice();
+      // Half of the damage at the end, where the index is.
+      const at = number % 2 ? Math.floor((whole.length * number) / 150) : whole.length - 1 - number * 29;
+      bytes.fill(number * 53, at, at + 1 + (number % 9));
+      try {
+        const session = new Session(await openRecording(format, storeOf(bytes).ranges));
+        await session.curves(request(), quiet);
+        await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+      } catch (thrown) {
+        expect(thrown).toBeInstanceOf(ReadFailure);
+      }
+    }
+  });
+
+  it("says that a recording that was never closed has no index", async () => {
+    const whole = await MADE[format];
+    const { ranges } = storeOf(whole.slice(0, whole.length * 0.7));
+    await expect(openRecording(format, ranges)).rejects.toMatchObject({ code: "no_index" });
+  });
+});
+
+describe("a session", () => {
+  it("plots JSON", async () => {
+    const { session } = await opened("mcap");
+    const { values } = await session.curves(request({ topic: "/words", fields: ["deep[0].m", "n", "missing"] }), quiet);
+    expect(values.map((curve) => curve[7])).toEqual([-7, 7, null]);
+    await expect(session.fields("/silent")).rejects.toMatchObject({ code: "topic_silent" });
+  });
+
+  it("reads little of a large file for a picture", async () => {
+    const text = new TextEncoder().encode("{}");
+    const topics = ["/bulk", "/camera"].map((name) => ({ name, schema: { name: "x", encoding: "", data: text }, messageEncoding: "json" }));
+    const bulk = new Uint8Array(100_000);
+    const picture = new TextEncoder().encode(JSON.stringify({ format: "png", data: btoa("\x89PNG\r\n") }));
+    const messages = Array.from({ length: 200 }, (_, number) => ({ topic: number === 120 ? "/camera" : "/bulk", logTimeNs: timeOf(number), data: number === 120 ? picture : bulk }));
+    const { ranges } = storeOf(await madeMcap(topics, messages, { chunkSize: 500_000 }));
+    const session = new Session(await openRecording("mcap", ranges));
+    const found = await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+    expect(found.logTimeNs).toBe(timeOf(120));
+    expect(ranges.bytesRead).toBeLessThan(ranges.sizeBytes / 10);
+  });
+});
