@@ -12,7 +12,7 @@ export default tseslint.config(
       parser: vueParser,
       parserOptions: {
         parser: tseslint.parser,
-        project: "./tsconfig.app.json",
+        project: ["./tsconfig.app.json", "./tsconfig.test.json"],
         tsconfigRootDir: import.meta.dirname,
         extraFileExtensions: [".vue"],
       },

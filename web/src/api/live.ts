@@ -1,0 +1,67 @@
+// What changes on the server shows here by itself: events say which noun changed, and its answers are asked for anew.
+import { useQueryClient } from "@tanstack/vue-query";
+import { onScopeDispose, ref, type Ref, watch, type WatchSource } from "vue";
+
+/** Several changes within this time ask for everything once. */
+const GATHER_MS = 250;
+
+export interface LiveOptions {
+  /** Which answers an event makes old; none for events that are nobody's concern here. */
+  readonly keysOf: (kind: string, data: unknown) => readonly (readonly unknown[])[];
+  /** Names of the events that are listened to. */
+  readonly kinds: readonly string[];
+}
+
+export interface Live {
+  readonly isConnected: Ref<boolean>;
+}
+
+function parsed(text: string): unknown {
+  try {
+    return JSON.parse(text) as unknown;
+  } catch {
+    return null;
+  }
+}
+
+/** Listens to a stream of events at a path, for as long as the component lives; a path of null listens to nothing. */
+export function useLive(path: WatchSource<string | null>, options: LiveOptions): Live {
+  const queries = useQueryClient();
+  const isConnected = ref(false);
+  let source: EventSource | null = null;
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  const old = new Map<string, readonly unknown[]>();
+
+  function refresh(): void {
+    timer = undefined;
+    for (const queryKey of old.values()) void queries.invalidateQueries({ queryKey });
+    old.clear();
+  }
+
+  function note(event: MessageEvent<string>): void {
+    for (const key of options.keysOf(event.type, parsed(event.data))) old.set(JSON.stringify(key), key);
+    if (old.size > 0) timer ??= setTimeout(refresh, GATHER_MS);
+  }
+
+  function close(): void {
+    source?.close();
+    source = null;
+    isConnected.value = false;
+  }
+
+  function open(at: string | null): void {
+    close();
+    if (at === null) return;
+    source = new EventSource(at);
+    source.addEventListener("open", () => (isConnected.value = true));
+    source.addEventListener("error", () => (isConnected.value = false)); // the browser connects again by itself
+    for (const kind of options.kinds) source.addEventListener(kind, note);
+  }
+
+  watch(path, open, { immediate: true });
+  onScopeDispose(() => {
+    clearTimeout(timer);
+    close();
+  });
+  return { isConnected };
+}

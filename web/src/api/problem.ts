@@ -1,0 +1,68 @@
+// Every failure of a request, in the words in which it is shown: what went wrong, what to do, by which id it is found.
+import type { components } from "./schema";
+import { texts } from "@/texts/problem";
+
+export type ErrorCode = components["schemas"]["ErrorCode"];
+export type FieldProblem = components["schemas"]["FieldProblem"];
+type ProblemDocument = components["schemas"]["ProblemDocument"];
+
+/** A failure with a name. `code` is the server's own, or `unreachable` where nothing of ours answered. */
+export class Problem extends Error {
+  override readonly name = "Problem";
+
+  constructor(
+    readonly code: ErrorCode | "unreachable" | "unexpected",
+    readonly status: number,
+    readonly title: string,
+    detail: string,
+    readonly requestId: string | null = null,
+    readonly document: Readonly<Record<string, unknown>> = {},
+  ) {
+    super(detail);
+  }
+
+  /** What a person can do about it, in a sentence. */
+  get remedy(): string {
+    return texts.remedies[this.code] ?? (this.status >= 500 ? texts.tellAdmin : "");
+  }
+
+  /** What is wrong with single fields of what was sent, where the server says so. */
+  get fields(): readonly FieldProblem[] {
+    const given = this.document.problems;
+    return Array.isArray(given) ? given.filter(isFieldProblem) : [];
+  }
+
+  /** Whether asking the same again may well succeed. */
+  get isPassing(): boolean {
+    return this.code === "unreachable" || this.status === 503 || this.status === 429;
+  }
+}
+
+function isFieldProblem(value: unknown): value is FieldProblem {
+  return typeof value === "object" && value !== null && "field" in value && "message" in value;
+}
+
+function isDocument(value: unknown): value is ProblemDocument {
+  return typeof value === "object" && value !== null && "code" in value && "detail" in value;
+}
+
+/** Returns the problem that an answer of the server tells. */
+export function problemOf(told: unknown, answer: Response): Problem {
+  const requestId = answer.headers.get("x-request-id");
+  if (isDocument(told)) {
+    return new Problem(told.code, told.status, told.title, told.detail, told.request_id ?? requestId, told);
+  }
+  const isGateway = answer.status >= 502 && answer.status <= 504;
+  if (isGateway) return new Problem("unreachable", answer.status, texts.unreachable, texts.notAnswering, requestId);
+  return new Problem("unexpected", answer.status, texts.unexpected, texts.notUnderstood(answer.status), requestId);
+}
+
+/** Returns whatever was thrown as a problem. What is no failure of a request is a fault of the app's, and says so. */
+export function toProblem(thrown: unknown): Problem {
+  if (thrown instanceof Problem) return thrown;
+  if (thrown instanceof TypeError && /fetch|network|load failed/i.test(thrown.message)) {
+    return new Problem("unreachable", 0, texts.unreachable, texts.notAnswering);
+  }
+  const said = thrown instanceof Error ? thrown.message : String(thrown);
+  return new Problem("unexpected", 0, texts.unexpected, said);
+}

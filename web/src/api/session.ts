@@ -1,0 +1,39 @@
+// Who looks at the page, and what they may do here.
+import { useQuery } from "@tanstack/vue-query";
+import { computed, type ComputedRef } from "vue";
+import { api, call } from "./client";
+import { keys } from "./keys";
+import { Problem } from "./problem";
+import { noteSignedIn } from "./signing-in";
+import type { Me } from "./types";
+
+/** Returns who is signed in; null for a stranger. */
+export async function fetchMe(): Promise<Me | null> {
+  try {
+    const me = await call(api.GET("/api/v1/me"));
+    noteSignedIn(true);
+    return me;
+  } catch (thrown) {
+    if (thrown instanceof Problem && thrown.code === "not_authenticated") return null;
+    throw thrown;
+  }
+}
+
+export const meQuery = { queryKey: keys.me, queryFn: fetchMe, staleTime: 5 * 60_000 } as const;
+
+export interface WhoIsHere {
+  /** Null for a stranger, and while it is not known yet. */
+  readonly me: ComputedRef<Me | null>;
+  readonly isAdmin: ComputedRef<boolean>;
+  readonly isKnown: ComputedRef<boolean>;
+}
+
+/** Returns who is here, kept current. */
+export function useMe(): WhoIsHere {
+  const query = useQuery(meQuery);
+  return {
+    me: computed(() => query.data.value ?? null),
+    isAdmin: computed(() => query.data.value?.is_admin ?? false),
+    isKnown: computed(() => !query.isPending.value),
+  };
+}

@@ -1,0 +1,78 @@
+// Keys that do something wherever one is. Whoever dislikes them can turn them off; those with Ctrl stay.
+import { onScopeDispose, ref, shallowReactive } from "vue";
+
+export interface Shortcut {
+  /** A key as the browser names it (`/`, `?`, `n`), two after each other (`g p`), or one with Ctrl or Cmd (`mod+k`). */
+  readonly keys: string;
+  readonly does: string;
+  readonly run: () => void;
+}
+
+const KEPT_AS = "kleinkram.shortcuts";
+const BETWEEN_MS = 1200;
+
+/** All that are in force, the latest last. */
+export const shortcuts = shallowReactive<Shortcut[]>([]);
+export const areShortcutsOn = ref(read());
+
+let first = "";
+let firstAt = 0;
+
+function read(): boolean {
+  try {
+    return localStorage.getItem(KEPT_AS) !== "off";
+  } catch {
+    return true; // a browser that keeps nothing
+  }
+}
+
+/** Turns the keys without Ctrl on or off, here and at the next visit. */
+export function turnShortcuts(isOn: boolean): void {
+  areShortcutsOn.value = isOn;
+  try {
+    localStorage.setItem(KEPT_AS, isOn ? "on" : "off");
+  } catch {
+    return; // they are off until the page is left
+  }
+}
+
+function isTyping(target: EventTarget | null): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (target.isContentEditable || target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement) return true;
+  return target instanceof HTMLInputElement && !["checkbox", "radio", "button", "submit"].includes(target.type);
+}
+
+/** Returns the name of what was pressed; of two keys after each other where the first one begins such a pair. */
+export function nameOf(event: Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey">, before: string): string {
+  if (event.altKey) return "";
+  if (event.ctrlKey || event.metaKey) return `mod+${event.key.toLowerCase()}`;
+  return before === "" ? event.key : `${before} ${event.key}`;
+}
+
+function onKey(event: KeyboardEvent): void {
+  if (event.defaultPrevented || event.isComposing) return;
+  const before = event.timeStamp - firstAt < BETWEEN_MS ? first : "";
+  first = "";
+  const name = nameOf(event, before);
+  const isWithCtrl = name.startsWith("mod+");
+  const isDialogOpen = document.querySelector("dialog[open]") !== null;
+  if (!isWithCtrl && (!areShortcutsOn.value || isTyping(event.target) || isDialogOpen)) return;
+  const found = shortcuts.findLast((each) => each.keys === name);
+  if (found !== undefined) {
+    event.preventDefault();
+    found.run();
+  } else if (shortcuts.some((each) => each.keys.startsWith(`${name} `))) {
+    first = name;
+    firstAt = event.timeStamp;
+  }
+}
+
+/** Puts shortcuts into force for as long as the component lives. */
+export function useShortcuts(wanted: readonly Shortcut[]): void {
+  if (shortcuts.length === 0) window.addEventListener("keydown", onKey);
+  shortcuts.push(...wanted);
+  onScopeDispose(() => {
+    for (const each of wanted) shortcuts.splice(shortcuts.indexOf(each), 1);
+    if (shortcuts.length === 0) window.removeEventListener("keydown", onKey);
+  });
+}

@@ -1,0 +1,73 @@
+// What a table is told of its columns, and how it finds its way among its rows.
+export interface Column<Row> {
+  /** Also the name of the slot of its cells: `cell-KEY`. */
+  readonly key: string;
+  readonly title: string;
+  /** A track of CSS grid; a column without one shares what room is left. */
+  readonly width?: string;
+  readonly align?: "left" | "right";
+  /** The server's word for the order by this column; without one it cannot be sorted by. */
+  readonly sort?: string;
+  /** Shown only where the table is at least that wide. */
+  readonly from?: "tablet" | "desktop";
+  /** What a cell says, where no slot shows it. */
+  readonly text?: (row: Row) => string;
+}
+
+const WIDTHS = { tablet: 560, desktop: 900 } as const;
+
+/** Returns the columns that a table of some width shows. */
+export function columnsFor<Row>(columns: readonly Column<Row>[], width: number): readonly Column<Row>[] {
+  return columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
+}
+
+/** Returns the tracks of a table's grid. */
+export function tracks<Row>(columns: readonly Column<Row>[], isSelectable: boolean): string {
+  const own = columns.map((column) => column.width ?? "minmax(0, 1fr)");
+  return (isSelectable ? ["36px", ...own] : own).join(" ");
+}
+
+/** Returns the order that a click on a column's head asks for: ascending first, then descending. */
+export function nextSort(now: string, column: string): string {
+  return now === column ? `-${column}` : column;
+}
+
+/** Returns how a column is sorted, in ARIA's words. */
+export function sortedAs(now: string, column: string | undefined): "ascending" | "descending" | "none" | undefined {
+  if (column === undefined) return undefined;
+  if (now === column) return "ascending";
+  return now === `-${column}` ? "descending" : "none";
+}
+
+/** Returns the row that a key leads to from the active one; null for keys that lead nowhere. */
+export function rowAfter(key: string, active: number, count: number, page: number): number | null {
+  const steps: Readonly<Record<string, number>> = {
+    ArrowDown: active + 1,
+    ArrowUp: active - 1,
+    PageDown: active + page,
+    PageUp: active - page,
+    Home: 0,
+    End: count - 1,
+  };
+  const wanted = steps[key];
+  return wanted === undefined || count === 0 ? null : Math.max(0, Math.min(count - 1, wanted));
+}
+
+/** Returns a selection after a click on a row; with shift, of all rows between this and the last one clicked. */
+export function afterClick(
+  selected: ReadonlySet<string>,
+  keys: readonly string[],
+  clicked: number,
+  anchor: number | null,
+): Set<string> {
+  const result = new Set(selected);
+  const key = keys[clicked];
+  if (key === undefined) return result;
+  const isAdding = !selected.has(key);
+  const [from, to] = anchor === null ? [clicked, clicked] : [Math.min(anchor, clicked), Math.max(anchor, clicked)];
+  for (const each of keys.slice(from, to + 1)) {
+    if (isAdding) result.add(each);
+    else result.delete(each);
+  }
+  return result;
+}

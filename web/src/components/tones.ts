@@ -1,0 +1,29 @@
+// How good news is, and by which sign and colour that is told.
+import { iconAttention, iconBad, iconGood } from "./icons";
+import type { BlobState, ContentState } from "@/api/types";
+
+export type Tone = "plain" | "accent" | "good" | "attention" | "bad";
+
+export const toneIcons: Readonly<Record<Tone, string>> = {
+  plain: "",
+  accent: "",
+  good: iconGood,
+  attention: iconAttention,
+  bad: iconBad,
+};
+
+export const contentTones: Readonly<Record<ContentState, Tone>> = {
+  pending: "plain",
+  indexed: "good",
+  recovered: "attention",
+  broken: "bad",
+  opaque: "plain",
+  error: "bad",
+};
+
+export const blobTones: Readonly<Record<BlobState, Tone>> = {
+  stored: "plain",
+  proven: "good",
+  lost: "bad",
+  corrupt: "bad",
+};

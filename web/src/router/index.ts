@@ -1,0 +1,50 @@
+// How one goes from view to view: who is not signed in signs in first and comes back; the heading gets the focus.
+import type { QueryClient } from "@tanstack/vue-query";
+import { createRouter, createWebHistory, type Router } from "vue-router";
+import { routes } from "./routes";
+import { toProblem } from "@/api/problem";
+import { meQuery } from "@/api/session";
+import { signInAddress } from "@/api/signing-in";
+import { arrive } from "@/components/titles";
+import { tell } from "@/components/toasts";
+import { texts } from "@/texts/shell";
+
+/** Returns whether somebody is signed in; where the server does not answer, the page itself is to say so. */
+async function isSomebodyHere(queries: QueryClient): Promise<boolean> {
+  try {
+    return (await queries.query(meQuery)) !== null;
+  } catch (thrown) {
+    toProblem(thrown);
+    return true;
+  }
+}
+
+/** Returns the app's router. */
+export function openRouter(queries: QueryClient): Router {
+  const router = createRouter({
+    history: createWebHistory(),
+    routes,
+    // eslint-disable-next-line @typescript-eslint/no-deprecated -- what shall replace it is still an experiment
+    scrollBehavior: (to, from, saved) => {
+      if (saved !== null) return saved;
+      return to.path === from.path ? false : { top: 0 };
+    },
+  });
+  router.beforeEach(async (to) => {
+    if (to.meta.guests === true || (await isSomebodyHere(queries))) return true;
+    globalThis.location.assign(signInAddress(to.fullPath));
+    return false;
+  });
+  router.afterEach((to, from) => {
+    if (to.path !== from.path && from.matched.length > 0) arrive();
+  });
+  router.onError((_error, to) => {
+    // A new version was installed, and this one's pages are gone: the new one is fetched, once.
+    const key = `kleinkram.reloaded ${to.fullPath}`;
+    if (sessionStorage.getItem(key) === null) {
+      sessionStorage.setItem(key, "yes");
+      globalThis.location.assign(to.fullPath);
+    } else tell({ tone: "bad", text: texts.pageGone });
+  });
+  return router;
+}

@@ -1,0 +1,36 @@
+// Every view and its address. Each page is a chunk of its own, fetched when somebody goes there.
+// The server answers with the app under these first words alone: they stand in server/web/routes.py too.
+import type { RouteRecordRaw } from "vue-router";
+
+declare module "vue-router" {
+  interface RouteMeta {
+    /** Whether people without an account may come: what is public may be seen there. */
+    guests?: boolean;
+    /** Shown without the app around it. */
+    bare?: boolean;
+  }
+}
+
+const guests = { guests: true };
+
+export const routes: RouteRecordRaw[] = [
+  { path: "/", name: "home", component: () => import("@/features/home/HomePage.vue") },
+  { path: "/public", name: "public", meta: guests, component: () => import("@/features/public/PublicPage.vue") },
+  { path: "/projects", name: "projects", component: () => import("@/features/project/ProjectsPage.vue") },
+  { path: "/projects/:projectId", name: "project", meta: guests, component: () => import("@/features/project/ProjectPage.vue") },
+  { path: "/missions/:missionId", name: "mission", meta: guests, component: () => import("@/features/mission/MissionPage.vue") },
+  { path: "/files/:fileId", name: "file", meta: guests, component: () => import("@/features/file/FilePage.vue") },
+  { path: "/upload", name: "upload", component: () => import("@/features/upload/UploadPage.vue") },
+  { path: "/search", name: "search", meta: guests, component: () => import("@/features/search/SearchPage.vue") },
+  { path: "/people", name: "people", component: () => import("@/features/people/PeoplePage.vue") },
+  { path: "/people/:personId", name: "person", component: () => import("@/features/people/PersonPage.vue") },
+  { path: "/groups", name: "groups", component: () => import("@/features/people/GroupsPage.vue") },
+  { path: "/groups/:groupId", name: "group", component: () => import("@/features/people/GroupPage.vue") },
+  { path: "/tokens", name: "tokens", component: () => import("@/features/people/TokensPage.vue") },
+  { path: "/sessions", name: "sessions", component: () => import("@/features/people/SessionsPage.vue") },
+  { path: "/audit", name: "audit", component: () => import("@/features/audit/AuditPage.vue") },
+  { path: "/trash", name: "trash", component: () => import("@/features/trash/TrashPage.vue") },
+  { path: "/admin", name: "admin", component: () => import("@/features/admin/AdminPage.vue") },
+  { path: "/signed-in", name: "signed-in", meta: { guests: true, bare: true }, component: () => import("@/features/session/SignedInPage.vue") },
+  { path: "/:path(.*)*", name: "not-found", meta: guests, component: () => import("@/features/session/NotFoundPage.vue") },
+];

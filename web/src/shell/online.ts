@@ -1,0 +1,35 @@
+// Whether the server answers: told from how the latest requests went, of whatever page.
+import { useQueryClient } from "@tanstack/vue-query";
+import { onScopeDispose, readonly, ref, type Ref } from "vue";
+import { Problem } from "@/api/problem";
+
+const AGAIN_MS = 5000;
+
+/** Returns whether the server answers. Once it does again, what failed meanwhile is asked for anew. */
+export function useOnline(): Readonly<Ref<boolean>> {
+  const queries = useQueryClient();
+  const isAnswered = ref(true);
+  let timer: ReturnType<typeof setInterval> | undefined;
+
+  async function look(): Promise<void> {
+    const answer = await fetch("/health/live").catch(() => null);
+    if (answer?.ok !== true) return;
+    clearInterval(timer);
+    timer = undefined;
+    isAnswered.value = true;
+    void queries.invalidateQueries();
+  }
+
+  const stop = queries.getQueryCache().subscribe((event) => {
+    if (event.type !== "updated" || event.query.state.fetchFailureCount === 0) return;
+    const reason: unknown = event.query.state.fetchFailureReason;
+    if (!(reason instanceof Problem) || reason.code !== "unreachable") return;
+    isAnswered.value = false;
+    timer ??= setInterval(() => void look(), AGAIN_MS);
+  });
+  onScopeDispose(() => {
+    stop();
+    clearInterval(timer);
+  });
+  return readonly(isAnswered);
+}
