@@ -43,13 +43,29 @@ class Departure(BaseModel):
     projects: list[str]
 
 
-class ServiceRead(BaseModel):
-    """What a server says of itself to somebody it knows: `GET /api/v1/service`."""
+class ViewerRead(BaseModel):
+    """A page elsewhere that shows a recording; `{url}` in its `url` is replaced by the recording's, percent-encoded."""
 
     model_config = ConfigDict(frozen=True)
 
+    name: str
+    url: str
+
+
+class ServiceRead(BaseModel):
+    """What a server says of itself to whoever comes: `GET /api/v1/service`. `person` is who asks, where it is one.
+
+    `name` is the lab's. `store_url` is where bytes are sent and fetched, `store_origin` how a browser names that place.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
     version: str
     public_url: str
     store_url: str
+    store_origin: str
     checksum: str
-    person: PersonRef
+    has_local_accounts: bool
+    viewers: list[ViewerRead]
+    person: PersonRef | None

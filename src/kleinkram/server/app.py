@@ -17,11 +17,11 @@ from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.claiming import offer_claim
 from kleinkram.server.auth.login_routes import login_router, me_router, people_router
-from kleinkram.server.auth.page_routes import home
 from kleinkram.server.auth.page_routes import router as sign_in_pages
 from kleinkram.server.auth.passwords import Passwords
 from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import router as auth
+from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
 from kleinkram.server.dependencies import asks_who
 from kleinkram.server.failures import described
@@ -34,6 +34,7 @@ from kleinkram.server.health.routes import router as service
 from kleinkram.server.http import Envelope, install_handlers
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
+from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
 from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
@@ -46,6 +47,7 @@ from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
+from kleinkram.server.web.routes import router as web
 
 _log = logging.getLogger("kleinkram.app")
 ROUTERS = (
@@ -55,6 +57,7 @@ ROUTERS = (
     missions,
     files,
     recordings,
+    overviews,
     uploads,
     search,
     trash,
@@ -68,9 +71,9 @@ ROUTERS = (
     login_router,
     me_router,
     people_router,
-    home,
     sign_in_pages,
     share_page,
+    web,
 )
 
 
@@ -104,6 +107,7 @@ def create_app(settings: Settings) -> FastAPI:
             app.state.providers = providers
             app.state.passwords = Passwords()
             app.state.storage = store.with_abilities(abilities)
+            app.state.pages_may_send = await open_to_pages(store, settings)
             _log.info(
                 "serving", extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}}
             )

@@ -106,6 +106,21 @@ class S3:
             while piece := await response.content.read(READ_BYTES):
                 yield piece
 
+    async def lets_page(self, origin: str, method: str) -> bool:
+        """Ask without a signature, as browsers do, whether a page of `origin` may send such a request to an object.
+
+        Source: Fetch Standard, "CORS-preflight fetch".
+
+        Raises:
+            aiohttp.ClientError, asyncio.TimeoutError, OSError: no connection, or no answer in time.
+        """
+        asked = {"Origin": origin, "Access-Control-Request-Method": method}
+        url = self._signer.sign("OPTIONS", "preflight", query={}, headers={}, expires_s=_GOOD_FOR_S).partition("?")[0]
+        async with self._session.options(URL(url, encoded=True), headers=asked, allow_redirects=False) as response:
+            methods = {name.strip() for name in response.headers.get("Access-Control-Allow-Methods", "").split(",")}
+            allowed = response.headers.get("Access-Control-Allow-Origin") in {origin, "*"}
+            return response.status < 300 and allowed and bool(methods & {method, "*"})
+
     @asynccontextmanager
     async def _opened(self, question: Question) -> AsyncIterator[aiohttp.ClientResponse]:
         for attempt in range(1, _ATTEMPTS + 1):

@@ -63,6 +63,20 @@ class OidcProvider(BaseModel):
         return "*" in self.trusted_domains or domain in self.trusted_domains
 
 
+class Viewer(BaseModel):
+    """A page elsewhere that shows a recording: `{url}` in its own address stands for the recording's, quoted."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    url: Annotated[str, Field(pattern=r"^https?://[^/\s{}]+/.*\{url\}")]
+
+    @property
+    def origin(self) -> str:
+        """As whom the browser introduces it to the store."""
+        return origin_of(self.url)
+
+
 # Who may make projects and groups: people of an affiliation group (everybody, where none is configured), or others.
 Creators = Literal["affiliated", "everybody", "admins"]
 
@@ -111,11 +125,28 @@ class Settings(BaseSettings):
     s3_ca_file: Annotated[
         Path | None, Field(description="Certificate authority of the store, where it is a private one.")
     ] = None
+    s3_cors: Annotated[
+        Literal["set", "leave"],
+        Field(
+            description="Whether the API, when it starts, writes the bucket's CORS rules, so that its pages (and the "
+            "viewers) may send and fetch; `leave` where somebody else writes them."
+        ),
+    ] = "set"
     store_id: Annotated[str, Field(description="The name under which blobs remember this store.")] = "main"
 
     public_url: Annotated[str, Field(description="This server's address as clients reach it.")] = (
         "http://127.0.0.1:8000"
     )
+    lab_name: Annotated[str, Field(min_length=1, max_length=64, description="What the pages call this server.")] = (
+        "Kleinkram"
+    )
+    viewers: Annotated[
+        tuple[Viewer, ...],
+        Field(
+            description="Pages elsewhere that open a recording by its address, which they then learn: a JSON list of "
+            '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.'
+        ),
+    ] = (Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),)
     owner_token_file: Annotated[
         Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
     ] = None
@@ -222,13 +253,26 @@ class Settings(BaseSettings):
     @property
     def public_origin(self) -> str:
         """The origin of this server's pages, as browsers name it."""
-        parts = urlsplit(self.public_url)
-        return f"{parts.scheme}://{parts.netloc}"
+        return origin_of(self.public_url)
+
+    @property
+    def store_origin(self) -> str:
+        """The origin of the store's public address: whom pages must be allowed to talk to."""
+        return origin_of(self.store_public_url)
 
     @property
     def store_public_url(self) -> str:
         """The address that clients' signatures name."""
         return self.s3_public_url or self.s3_internal_url
+
+
+def origin_of(url: str) -> str:
+    """Return the origin of an address as browsers write it: in small letters, without the usual port."""
+    parts = urlsplit(url)
+    scheme, host = parts.scheme.lower(), parts.hostname or ""
+    host = f"[{host}]" if ":" in host else host
+    is_usual = parts.port in {None, {"http": 80, "https": 443}.get(scheme)}
+    return f"{scheme}://{host}" if is_usual else f"{scheme}://{host}:{parts.port}"
 
 
 def async_dsn(url: PostgresDsn) -> str:

@@ -5,6 +5,7 @@ called inside a database transaction. Keys are opaque, and an object is never wr
 """
 
 import base64
+import hashlib
 from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, replace
@@ -274,6 +275,23 @@ class Storage:
         """
         query = {"uploadId": multipart_id, "partNumber": "1"}
         await self._ask("write a part", Question("PUT", key, query, headers, body))
+
+    async def set_cross_origin(self, rules: bytes) -> None:
+        """Write which pages browsers let talk to the bucket, in place of what was said before.
+
+        Raises:
+            StoreRefused, StoreUnavailable: the store would not take it, or knows no such rules.
+        """
+        digest = base64.b64encode(hashlib.md5(rules, usedforsecurity=False).digest()).decode()
+        headers = {"Content-MD5": digest, "Content-Type": "application/xml"}
+        await self._ask("write the CORS rules", Question("PUT", "", {"cors": ""}, headers, rules))
+
+    async def lets_page(self, origin: str, method: str) -> bool:
+        """Ask as a browser does whether pages of `origin` may send such requests; no where there is no answer."""
+        try:
+            return await self._s3.lets_page(origin, method)
+        except LOST:
+            return False
 
     def proving_by(self, checksum: ChecksumKind) -> "Storage":
         """Return the same store, asked for another kind of proof."""

@@ -201,4 +201,5 @@ DOORS = {
     "exchange_device_code",
     "exchange_cli_code",
     "sign_out",
+    "get_service",
 }

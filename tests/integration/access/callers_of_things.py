@@ -61,6 +61,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     ),
     "delete_mission": (Caller(delete("/missions/{mission}", dry_run="true"), About.mission),),
     "list_recordings": (Caller(get("/missions/{mission}/recordings"), About.mission),),
+    "get_mission_timeline": (Caller(get("/missions/{mission}/timeline"), About.mission),),
     "get_recording": (Caller(get("/recordings/{recording}"), About.file),),
     "list_files": (Caller(get("/files", project_id="{project}"), About.file, shows=lists("file")),),
     "get_file": (Caller(get("/files/{file}"), About.file),),
@@ -76,6 +77,27 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
         ),
     ),
     "delete_file": (Caller(delete("/files/{file}", dry_run="true"), About.file),),
+    "label_files": (
+        Caller(
+            post("/files/labels", lambda by: {"file_ids": [by.things.file]}),
+            About.file,
+            outcome=lambda answer: (answer["items"][0]["problem"] or {"status": 200})["status"],
+        ),
+    ),
+    "search": (
+        Caller(
+            get("/search", query="project:{project} path:one.mcap"),
+            About.file,
+            shows=lambda found, by: by.things.file in {item["id"] for item in found["files"]["items"]},
+        ),
+    ),
+    "get_facets": (
+        Caller(
+            get("/search/facets", query="project:{project} path:one.mcap"),
+            About.file,
+            shows=lambda found, _: found["file_count"] > 0,
+        ),
+    ),
     "list_topics": (
         Caller(
             get("/topics", project_id="{project}"),
@@ -140,5 +162,4 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "export_audit_events": (
         Caller(get("/audit/export", project_id="{project}"), About.project, shows=lambda lines, _: bool(lines)),
     ),
-    "get_service": (Caller(get("/service"), About.server),),
 }

@@ -174,7 +174,7 @@ def test_a_link_only_reads(api: Api, outing: Outing) -> None:
     guest.post(f"/missions/{mission_id}/shares", {"name": "x", "expires_at": _in(hours=1)}).refused(
         403, "scope_missing"
     )
-    for path in ("/shares", "/tokens", "/audit", "/trash", "/service"):
+    for path in ("/shares", "/tokens", "/audit", "/trash"):
         guest.get(path).refused(403, "scope_missing")
 
 

@@ -69,6 +69,7 @@ OPERATIONS: dict[str, Need] = {
     "delete_mission": Need(On.mission, Right.delete, _WRITE),
     "list_recordings": Need(On.mission, Right.read, _READ, guests=True),
     "get_recording": Need(On.mission, Right.read, _READ, guests=True),
+    "get_mission_timeline": Need(On.mission, Right.read, _READ, guests=True),
     # Files
     "list_files": _seen(),
     "get_file": Need(On.mission, Right.read, _READ, guests=True),
@@ -78,6 +79,9 @@ OPERATIONS: dict[str, Need] = {
     "update_file": Need(On.mission, Right.write, _WRITE),
     "move_file": Need(On.mission, Right.delete, _WRITE),
     "delete_file": Need(On.mission, Right.delete, _WRITE),
+    "label_files": Need(On.mission, Right.write, _WRITE),
+    "search": _seen(),
+    "get_facets": _seen(),
     "list_topics": _seen(),
     "get_stats": _seen(),
     # Uploads
@@ -159,12 +163,36 @@ OPERATIONS: dict[str, Need] = {
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),
-    "get_service": Need(On.nothing, None, _ANY, runners=True),
+    "get_service": Need(On.nothing, None, _ANY, guests=True, runners=True),
 }
+
+# The first words of the app's addresses; web/src/router/routes.ts says what is shown there.
+PLACES = (
+    "admin",
+    "audit",
+    "files",
+    "groups",
+    "missions",
+    "people",
+    "projects",
+    "public",
+    "search",
+    "sessions",
+    "signed-in",
+    "tokens",
+    "trash",
+    "upload",
+)
 
 # What is for everybody, and asks nobody who they are. Nothing here may say a name, or what anybody has.
 OPEN_PAGES = {
-    "/": "sends on to signing in",
+    "/": "the app, the same for all: it asks the API who looks",
+    **{f"/{place}": "the app" for place in PLACES},
+    **{f"/{place}/{{rest:path}}": "the app" for place in PLACES},
+    "/assets/{name}": "its scripts and styles",
+    "/fonts/{name}": "its letters",
+    "/licences.md": "the licences of what it is made from",
+    "/static/{name}": "what the server's own pages share with it",
     "/health/live": "whether the process answers",
     "/health/ready": "whether database, schema and store are there",
     "/metrics": "counts over the whole server, for networks that the settings name",

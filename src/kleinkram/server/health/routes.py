@@ -8,7 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 import kleinkram
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.people import ServiceRead
+from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.server import measures
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.health.readiness import missing
@@ -65,9 +65,13 @@ def _watches(request: Request, settings: Settings) -> bool:
 async def service(actor: CurrentActor, storage: CurrentStorage, settings: CurrentSettings) -> ServiceRead:
     """Say what this server is, and who you are to it."""
     return ServiceRead(
+        name=settings.lab_name,
         version=kleinkram.__version__,
         public_url=settings.public_url,
         store_url=settings.store_public_url,
+        store_origin=settings.store_origin,
         checksum=storage.checksum.value,
+        has_local_accounts=settings.local_accounts,
+        viewers=[ViewerRead(name=each.name, url=each.url) for each in settings.viewers],
         person=actor.ref,
     )

@@ -167,9 +167,14 @@ def _new_upload(
         "checksum": site.storage.checksum.value,
         "store_id": site.settings.store_id,
         # One prefix a request: its small files are then found with one listing.
-        "key": f"{batch}/{upload_id}",
+        "key": f"{batch}/{upload_id}{_viewable_suffix(wanted.path)}",
         **renewed(site.settings, now),
     }
+
+
+def _viewable_suffix(path: str) -> str:
+    """Return what a key ends with: viewers go by that of an address, and open nothing without."""
+    return next((suffix for suffix in (".mcap", ".bag") if path.lower().endswith(suffix)), "")
 
 
 def _held(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
