@@ -8,7 +8,7 @@ import uuid
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -30,6 +30,7 @@ from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.headers import guarded
 from kleinkram.server.proxies import set_asker
 from kleinkram.server.settings import Settings
+from kleinkram.server.web.serving import app_page, wants_page
 
 _log = logging.getLogger("kleinkram.http")
 _LONGEST_ID = 36
@@ -166,7 +167,7 @@ async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
     return problem_response(InvalidRequest(problems=problems), _request_id(request))
 
 
-async def _on_http_exception(request: Request, error: Exception) -> JSONResponse:
+async def _on_http_exception(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
     if error.status_code == 413:
@@ -174,6 +175,8 @@ async def _on_http_exception(request: Request, error: Exception) -> JSONResponse
         return problem_response(BodyTooLarge(size_bytes=int(error.detail), limit_bytes=limit), _request_id(request))
     if error.status_code == 405:
         return problem_response(MethodNotAllowed(method=request.method, path=request.url.path), _request_id(request))
+    if error.status_code == 404 and wants_page(request):
+        return app_page(request.app.state.settings, status=404)
     if error.status_code == 404:
         return problem_response(NotFound(noun="page", ref=request.url.path), _request_id(request))
     problem = FieldProblem(field="request", message=str(error.detail))

@@ -115,11 +115,6 @@ def test_what_takes_a_browser_is_refused_to_tokens(api: Api) -> None:
     token.post("/auth/password/change", {"old_password": "x", "new_password": "y" * 12}).refused(403, "scope_missing")
 
 
-def test_the_server_s_address_leads_to_signing_in(api: Api) -> None:
-    answer = Browser(api).get("/")
-    assert (answer.status, answer.headers["location"]) == (307, "/sign-in/account")
-
-
 def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> None:
     for page in ("", "/link", "/invitation", "/reset", "/claim", "/device", "/cli", "/account"):
         answer = Browser(api).get(f"/sign-in{page}")

@@ -19,7 +19,6 @@ from kleinkram.server.settings import Settings
 
 # Not part of the API: for people, not for programs.
 router = APIRouter(prefix="/sign-in", include_in_schema=False)
-home = APIRouter(include_in_schema=False)
 _PAGES: dict[str, Callable[[Settings], HTMLResponse]] = {
     "link": pages.link_page,
     "invitation": pages.invitation_page,
@@ -42,12 +41,6 @@ class Returned(BaseModel):
     code: _Text | None = None
     error: _Text | None = None
     iss: _Text | None = None
-
-
-@home.get("/")
-async def front_page() -> Response:
-    """Send whoever opens the server's address to their account; that page sends on who is not signed in."""
-    return RedirectResponse("/sign-in/account", status_code=307)
 
 
 @router.get("")

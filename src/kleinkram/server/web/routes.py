@@ -1,0 +1,45 @@
+"""The app over HTTP: its page under each of its places, its files, and what the server's own pages share with it."""
+
+from fastapi import APIRouter, Request, Response
+
+from kleinkram.server.access.operations import PLACES
+from kleinkram.server.dependencies import CurrentSettings
+from kleinkram.server.web.serving import DAY, FOREVER, app_page, built_file, static_file
+
+# Not part of the API: for people, not for programs.
+router = APIRouter(include_in_schema=False)
+
+
+async def view(settings: CurrentSettings) -> Response:
+    """Show the app, at whatever view the address names."""
+    return app_page(settings)
+
+
+router.add_api_route("/", view)
+for _place in PLACES:
+    router.add_api_route(f"/{_place}", view)
+    router.add_api_route(f"/{_place}/{{rest:path}}", view)
+
+
+@router.get("/assets/{name}")
+async def asset(name: str, request: Request, settings: CurrentSettings) -> Response:
+    """Give a built file, which never changes under its name."""
+    return built_file(request, settings, f"assets/{name}", caching=FOREVER)
+
+
+@router.get("/fonts/{name}")
+async def font(name: str, request: Request, settings: CurrentSettings) -> Response:
+    """Give a font, or its licence."""
+    return built_file(request, settings, f"fonts/{name}", caching=DAY)
+
+
+@router.get("/licences.md")
+async def licences(request: Request, settings: CurrentSettings) -> Response:
+    """Give the licences of what the app is made from."""
+    return built_file(request, settings, "licences.md", caching=DAY)
+
+
+@router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """Give what the server's own pages share with the app."""
+    return static_file(name)

@@ -1,0 +1,102 @@
+"""The app as the API serves it: under each of its addresses, small, kept by browsers, and held to its policy."""
+
+import gzip
+import re
+import uuid
+from pathlib import Path
+
+import pytest
+import urllib3
+
+from kleinkram.server.access.operations import PLACES
+from kleinkram.server.web.serving import BUILT
+from tests.integration.running import Api
+
+_POOL = urllib3.PoolManager(retries=False, timeout=20)
+_ROUTES = Path(__file__).parents[3] / "web" / "src" / "router" / "routes.ts"
+_LOOKING = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
+
+
+def _get(api: Api, path: str, **headers: str) -> urllib3.BaseHTTPResponse:
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    return _POOL.request("GET", api.url + path, headers=named, decode_content=False, redirect=False)
+
+
+def _script(api: Api) -> str:
+    found = re.search(r'src="(/assets/[^"]+\.js)"', _get(api, "/").data.decode())
+    assert found is not None
+    return found[1]
+
+
+def test_every_view_is_the_app(api: Api) -> None:
+    page = _get(api, "/")
+    assert (page.status, page.headers["cache-control"]) == (200, "no-cache")
+    assert '<div id="app">' in page.data.decode()
+    for path in ("/projects", f"/projects/{uuid.uuid4()}", f"/missions/{uuid.uuid4()}?tab=topics", "/signed-in"):
+        assert _get(api, path).data == page.data, path
+
+
+def test_the_server_knows_the_places_that_the_app_has() -> None:
+    paths = re.findall(r'path: "/([a-z][a-z-]*)', _ROUTES.read_text(encoding="utf-8"))
+    assert sorted(set(paths)) == sorted(PLACES)
+
+
+def test_what_does_not_exist_is_a_page_to_people_and_a_problem_to_programs(api: Api) -> None:
+    page = _get(api, "/nothing/of/the/kind", **_LOOKING)
+    assert (page.status, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
+    for path, headers in (
+        ("/nothing", {}),
+        ("/api/v1/nothing", _LOOKING),
+        ("/assets/nothing.js", _LOOKING),
+        ("/assets/..%2Findex.html", _LOOKING),
+        ("/static/..%2Froutes.py", _LOOKING),
+        ("/fonts/nothing.woff2", _LOOKING),
+    ):
+        answer = _get(api, path, **headers)
+        assert (answer.status, answer.headers["content-type"]) == (404, "application/problem+json"), path
+    assert _POOL.request("POST", f"{api.url}/api/v1/nothing").status == 404
+
+
+def test_the_policy_lets_run_what_is_ours_alone_and_reach_the_store(api: Api) -> None:
+    settings = api.app.state.settings
+    for path in ("/", "/projects", _script(api)):
+        policy = _get(api, path).headers["content-security-policy"]
+        told = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+        assert told["default-src"] == "'none'"
+        assert told["script-src"] == "'self' 'wasm-unsafe-eval'"
+        assert told["style-src"] == told["worker-src"] == "'self'"
+        assert told["connect-src"] == f"'self' {settings.store_origin}"
+        assert told["frame-ancestors"] == "'none'"
+    html = _get(api, "/").data.decode()
+    assert not re.search(r"<script(?![^>]*\ssrc=)|<style|\sstyle=|\son\w+=", html), "nothing inline"
+    assert not re.search(r"(src|href)=\"(https?:)?//", html), "nothing from elsewhere"
+
+
+def test_what_is_built_is_kept_for_good_and_sent_compressed(api: Api) -> None:
+    path = _script(api)
+    plain = _get(api, path)
+    assert plain.status == 200
+    assert "immutable" in plain.headers["cache-control"]
+    assert plain.headers["content-type"].startswith("text/javascript")
+    assert plain.headers["vary"] == "Accept-Encoding"
+    small = _get(api, path, Accept_Encoding="gzip, deflate")
+    assert (small.headers["content-encoding"], gzip.decompress(small.data)) == ("gzip", plain.data)
+    smallest = _get(api, path, Accept_Encoding="gzip, deflate, br")
+    assert smallest.headers["content-encoding"] == "br"
+    assert len(smallest.data) < len(small.data) < len(plain.data)
+
+
+@pytest.mark.parametrize("path", ["/static/tokens.css", "/static/theme.js", "/static/icon.svg", "/fonts/inter.woff2"])
+def test_the_server_s_own_pages_share_colours_and_letters(api: Api, path: str) -> None:
+    answer = _get(api, path)
+    assert (answer.status, len(answer.data) > 100) == (200, True)
+    assert answer.headers["cache-control"].startswith("public")
+
+
+def test_the_first_load_is_small() -> None:
+    """What `/` asks for before anything is shown: 350 kB with gzip at most."""
+    html = (BUILT / "index.html").read_text(encoding="utf-8")
+    names = re.findall(r'(?:src|href)="/((?:assets|fonts)/[^"]+)"', html)
+    assert len(names) >= 2
+    sizes = [next(p for p in (BUILT / f"{name}.gz", BUILT / name) if p.exists()).stat().st_size for name in names]
+    assert sum(sizes) < 350_000
