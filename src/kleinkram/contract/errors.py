@@ -326,6 +326,8 @@ class InvalidQuery(KleinkramError):
     status = 422
     expression: str
     reason: str
+    # Where in the text of a query it stands, from 1; None for a filter that is no text.
+    column: int | None = None
 
 
 @dataclass(eq=False)

@@ -180,6 +180,8 @@ class FileSort(str, enum.Enum):
 
 
 SizeBytes = Annotated[int, Field(ge=0, le=2**63 - 1)]
+DurationNs = Annotated[int, Field(ge=0, le=2**63 - 1)]
+Month = Annotated[str, Field(pattern=r"^[12][0-9]{3}-(0[1-9]|1[0-2])$")]
 
 
 class FileFilter(BaseModel):
@@ -187,6 +189,8 @@ class FileFilter(BaseModel):
 
     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
+    Quotes in `text` make several words one. `month` is the one in which the recording began, UTC. `without` are terms
+    of the query language (see the page on searching) of which none may hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -209,6 +213,10 @@ class FileFilter(BaseModel):
     recorded_before: datetime.datetime | None = None
     min_size_bytes: SizeBytes | None = None
     max_size_bytes: SizeBytes | None = None
+    min_duration_ns: DurationNs | None = None
+    max_duration_ns: DurationNs | None = None
+    month: Annotated[list[Month], Field(max_length=50)] = []
+    without: Terms = []
 
 
 class DownloadRequest(BaseModel):

@@ -56,7 +56,8 @@ async def _actor(
     actor = who.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
-    await limit_expensive(database, request.app.state.settings, actor, has_text="text" in request.query_params)
+    has_text = not request.query_params.keys().isdisjoint({"text", "query"})
+    await limit_expensive(database, request.app.state.settings, actor, has_text=has_text)
     if actor.is_admin and request.method == "GET":
         looks: Looks = request.app.state.looks
         await looks.note(database, actor, named(request.path_params, request.query_params))

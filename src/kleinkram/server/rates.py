@@ -27,6 +27,8 @@ _WINDOW = datetime.timedelta(seconds=WINDOW_S)
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 _IPV6_SUBNET = 64
 _EXPENSIVE = {
+    "search": "searches",
+    "get_facets": "searches",
     "get_stats": "searches",
     "list_topics": "searches",
     "download_files": "downloads",

@@ -5,7 +5,20 @@ import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, Update, func, literal, select, true, update
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Row,
+    Select,
+    Text,
+    Update,
+    bindparam,
+    func,
+    literal,
+    select,
+    true,
+    update,
+)
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.files import FileFact, FileFilter, FileLoss, FileProblem, FileRead, FileSort
@@ -117,6 +130,11 @@ def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
     return file_rows(visible_files(actor).where(among(file.c.id, file_ids)))
 
 
+def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Select[Any]:
+    """Return the ids of those of some files on which `actor` has a right."""
+    return visible_files(actor, right).with_only_columns(file.c.id).where(among(file.c.id, file_ids))
+
+
 def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     """Return a file's id where `actor` brought it within the last hour, and may still put files there."""
     brought = (file.c.uploaded_by_id == actor.person_id, file.c.created_at > func.now() - datetime.timedelta(hours=1))
@@ -151,6 +169,11 @@ def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 def change_file(file_id: uuid.UUID, **values: object) -> Update:
     """Return the statement that changes one file."""
     return update(file).where(file.c.id == file_id).values(**values)
+
+
+def set_labels() -> Update:
+    """Return the statement that gives the file `ref` its `new_labels`, to be run for many at once."""
+    return update(file).where(file.c.id == bindparam("ref")).values(labels=bindparam("new_labels"))
 
 
 def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:

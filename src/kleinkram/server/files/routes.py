@@ -8,22 +8,23 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.files import (
     DownloadLinks,
     DownloadRequest,
-    FileFilter,
     FileRead,
     FileSort,
     FileUpdate,
     TopicRead,
 )
 from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.query import whole
+from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
-from kleinkram.server.files import service
+from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
 
 
-class FileListQuery(FileFilter):
+class FileListQuery(FileQuery):
     """The query of a list of files."""
 
     sort: FileSort = FileSort.path
@@ -36,13 +37,19 @@ class FileListQuery(FileFilter):
 async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[FileRead]:
     """List the files that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_files(db, actor, matching=query, sort=query.sort, page=page)
+    return await service.list_files(db, actor, matching=whole(query), sort=query.sort, page=page)
 
 
 @router.post("/files/download", operation_id="download_files")
 async def download_files(wanted: DownloadRequest, site: CurrentSite, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted."""
     return DownloadLinks(items=await service.link_files(site, actor, file_ids=wanted.file_ids))
+
+
+@router.post("/files/labels", operation_id="label_files")
+async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor) -> FilesLabelled:
+    """Put labels on many files and take labels off them; says for each file how it went."""
+    return FilesLabelled(items=await labelling.label_files(db, actor, change=change))
 
 
 @router.get("/files/{file_id}", operation_id="get_file")

@@ -21,7 +21,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -36,7 +36,7 @@ from kleinkram.server.access.visible import (
     visible_projects,
 )
 from kleinkram.server.pages import Order
-from kleinkram.server.search.matching import narrow_missions
+from kleinkram.server.search.matching import narrow_missions, narrow_missions_found
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -143,9 +143,10 @@ def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
     return one.where(mission.c.id == mission_id, project.c.deleted_at.is_(None)).with_for_update(read=True, of=project)
 
 
-def matching_missions(actor: Actor, matching: MissionFilter) -> Select[Any]:
-    """Return the visible missions that match."""
-    return mission_rows(actor, narrow_missions(actor, visible_missions(actor), matching))
+def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter | None = None) -> Select[Any]:
+    """Return the visible missions that match, among those that a query of files finds, where there is one."""
+    narrowed = narrow_missions(actor, visible_missions(actor), matching)
+    return mission_rows(actor, narrowed if found is None else narrow_missions_found(actor, narrowed, found))
 
 
 def mission_order(actor: Actor, sort: MissionSort) -> Order:

@@ -7,6 +7,8 @@ from fastapi import APIRouter, Query
 
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.query import parse
+from kleinkram.contract.searching import QueryText
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.missions import service
@@ -16,8 +18,9 @@ router = APIRouter(prefix="/api/v1", tags=["missions"])
 
 
 class MissionListQuery(MissionFilter):
-    """The query of a list of missions."""
+    """The query of a list of missions. With `query`, those that it finds: by what they say, or by their files."""
 
+    query: QueryText | None = None
     sort: MissionSort = MissionSort.name
     limit: PageSize = 100
     cursor: Cursor | None = None
@@ -38,7 +41,8 @@ async def list_missions(
 ) -> Page[MissionRead]:
     """List the missions that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_missions(db, actor, matching=query, sort=query.sort, page=page)
+    found = None if query.query is None else parse(query.query)
+    return await service.list_missions(db, actor, matching=query, found=found, sort=query.sort, page=page)
 
 
 @router.get("/missions/{mission_id}", operation_id="get_mission")

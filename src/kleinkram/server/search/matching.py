@@ -1,24 +1,49 @@
 """What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
 
+import datetime
 from collections.abc import Callable, Sequence
 from typing import Any
 from unicodedata import normalize
 
-from sqlalchemy import ColumnElement, Select, Text, and_, bindparam, cast, func, or_, select, type_coerce
+from sqlalchemy import (
+    ColumnElement,
+    Integer,
+    Select,
+    Text,
+    and_,
+    bindparam,
+    case,
+    cast,
+    func,
+    literal,
+    or_,
+    select,
+    true,
+    type_coerce,
+)
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
+from kleinkram.contract.query.parsing import parse_term
+from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span
+from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.where import condition
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 Conditions = list[ColumnElement[bool]]
+# What a filter of files says that can be said of a mission itself.
+_SAID_OF_MISSIONS = frozenset(
+    {
+        *("text", "project", "project_id", "mission", "mission_id", "where", "recorded_after", "recorded_before"),
+        "without",
+    }
+)
 _UNSEEN = "what you came with does not show metadata of missions"
 
 
@@ -35,6 +60,10 @@ def narrow_missions(actor: Actor, stmt: Select[Any], matching: MissionFilter) ->
         InvalidQuery: a `where` cannot be used.
     """
     _refuse_metadata(actor, matching)
+    return stmt.where(*_conditions(actor, matching))
+
+
+def _conditions(actor: Actor, matching: MissionFilter) -> Conditions:
     conditions = _place(matching) + _span(matching, *shown_span(actor))
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
@@ -46,7 +75,7 @@ def narrow_missions(actor: Actor, stmt: Select[Any], matching: MissionFilter) ->
         conditions.append(mission.c.completed_at.is_not(None) == matching.completed)
     if matching.satisfied is not None:
         conditions.append((func.jsonb_array_length(mission.c.metadata_problems) == 0) == matching.satisfied)
-    return stmt.where(*conditions)
+    return conditions
 
 
 def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
@@ -55,6 +84,34 @@ def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Selec
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
+    return stmt.where(*_of_files(actor, matching))
+
+
+def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+    """Return the missions of a select that a filter of files finds: by what they say themselves, or by their files.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    files = narrow_files(actor, visible_files(actor), matching)
+    by_files = mission.c.id.in_(files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None))
+    return stmt.where(
+        or_(by_files, and_(true(), *_of_missions(actor, matching))) if _says_of_missions(matching) else by_files
+    )
+
+
+def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+    """Return the topics of a select joined with them that match the filter's topics and message types."""
+    return stmt.where(*_topic_conditions(matching))
+
+
+def words_in(column: ColumnElement[str], matching: FileFilter) -> ColumnElement[int]:
+    """Return how many of the words of a filter a text holds."""
+    held = [case((holds_word(column, word), 1), else_=0) for word in phrases(matching.text or "")]
+    return sum(held, literal(0, Integer))
+
+
+def _of_files(actor: Actor, matching: FileFilter) -> Conditions:
     _refuse_metadata(actor, matching)
     conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _bytes(matching)
     if matching.mission is not None:
@@ -72,12 +129,31 @@ def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Selec
     conditions += _words(matching.text, lambda word: or_(_file_holds(word), in_mission(word)))
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
-    return stmt.where(*conditions)
+    return conditions + [_fails(_of_files(actor, parse_term(term))) for term in matching.without]
 
 
-def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
-    """Return the topics of a select joined with them that match the filter's topics and message types."""
-    return stmt.where(*_topic_conditions(matching))
+def _of_missions(actor: Actor, matching: FileFilter) -> Conditions:
+    """Return the conditions of a filter that says nothing of files, on missions."""
+    own = MissionFilter(
+        **{name: getattr(matching, name) for name in _SAID_OF_MISSIONS if name in MissionFilter.model_fields},
+        name=matching.mission,
+    )
+    _refuse_metadata(actor, own)
+    conditions = _conditions(actor, own)
+    if matching.mission_id is not None:
+        conditions.append(mission.c.id == matching.mission_id)
+    return conditions + [_fails(_of_missions(actor, parse_term(term))) for term in matching.without]
+
+
+def _says_of_missions(matching: FileFilter) -> bool:
+    """Say whether all that a filter says can be said of a mission itself."""
+    others = matching.model_dump(exclude_defaults=True).keys() - _SAID_OF_MISSIONS
+    return not others and all(_says_of_missions(parse_term(term)) for term in matching.without)
+
+
+def _fails(conditions: Conditions) -> ColumnElement[bool]:
+    # What cannot be said of something, such as when a file without times was recorded, does not hold of it.
+    return and_(true(), *conditions).is_not(true())
 
 
 def _place(matching: MissionFilter | FileFilter) -> Conditions:
@@ -112,7 +188,20 @@ def _bytes(matching: FileFilter) -> Conditions:
         conditions.append(blob.c.size_bytes >= matching.min_size_bytes)
     if matching.max_size_bytes is not None:
         conditions.append(blob.c.size_bytes <= matching.max_size_bytes)
+    duration_ns = blob.c.end_ns - blob.c.start_ns
+    if matching.min_duration_ns is not None:
+        conditions.append(duration_ns >= matching.min_duration_ns)
+    if matching.max_duration_ns is not None:
+        conditions.append(duration_ns <= matching.max_duration_ns)
+    if matching.month:
+        conditions.append(or_(*(_began_in(month) for month in matching.month)))
     return conditions
+
+
+def _began_in(month: str) -> ColumnElement[bool]:
+    first = datetime.datetime.fromisoformat(f"{month}-01").replace(tzinfo=datetime.timezone.utc)
+    following = (first + datetime.timedelta(days=31)).replace(day=1)
+    return and_(blob.c.start_ns >= nanoseconds(first), blob.c.start_ns < nanoseconds(following))
 
 
 def _topic_conditions(matching: MissionFilter | FileFilter) -> Conditions:
@@ -145,7 +234,7 @@ def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnEleme
 
 
 def _words(text: str | None, holds: Callable[[str], ColumnElement[bool]]) -> Conditions:
-    return [holds(word) for word in (text or "").split()]
+    return [holds(word) for word in phrases(text or "")]
 
 
 def _refuse_metadata(actor: Actor, matching: MissionFilter | FileFilter) -> None:

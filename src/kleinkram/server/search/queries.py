@@ -7,10 +7,11 @@ from typing import Any
 from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, and_, cast, distinct, func, null, select
 
 from kleinkram.contract.files import FileFilter
+from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files
-from kleinkram.server.search.matching import narrow_files, narrow_topics
+from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
@@ -21,6 +22,30 @@ _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the topics of the files that match, with those files; topic and type globs narrow the topics too."""
     return narrow_topics(topic_rows(narrow_files(actor, visible_files(actor), matching)), matching)
+
+
+def topics_found(actor: Actor, matching: FileFilter, *, limit: int) -> Select[Any]:
+    """Return the first topics of the files that match, each name and type once, with the `total` of them all.
+
+    Those whose names hold the most words of the filter come first, then those of the most files.
+    """
+    stmt = narrow_files(actor, visible_files(actor), matching).join(topic, topic.c.blob_id == blob.c.id)
+    name, message_type, files = topic.c.name, topic.c.message_type, func.count()
+    columns = (
+        name,
+        message_type,
+        files.label("file_count"),
+        func.sum(topic.c.count).label("message_count"),
+        func.count().over().label("total"),
+    )
+    grouped = narrow_topics(stmt.with_only_columns(*columns, maintain_column_froms=True), matching)
+    order = (words_in(name, matching).desc(), files.desc(), name, message_type)
+    return grouped.group_by(name, message_type).order_by(*order).limit(limit)
+
+
+def to_topic_found(row: Row[Any]) -> TopicFound:
+    """Return the topic that a row of `topics_found` stands for."""
+    return TopicFound.model_validate({name: row._mapping[name] for name in TopicFound.model_fields})
 
 
 def group_column(by: str) -> ColumnElement[Any] | None:

@@ -1,21 +1,34 @@
-"""Search over HTTP: topics and statistics. Missions and files are searched by their lists."""
+"""Search over HTTP: one query over everything, its facets, topics and statistics."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.files import FileFilter, TopicRead
+from kleinkram.contract.files import FileSort, TopicRead
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.query import whole
+from kleinkram.contract.searching import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.contract.stats import StatsRead
 from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.pages import PageRequest
-from kleinkram.server.search import service
+from kleinkram.server.search import facets, service
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
 
 
-class TopicListQuery(FileFilter):
+class SearchQuery(BaseModel):
+    """What a search asks: a text, how many to show of each kind, and in which order the files."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    query: QueryText = ""
+    sort: FileSort = FileSort.start_desc
+    limit: PageSize = 20
+
+
+class TopicListQuery(FileQuery):
     """The query of a list of topics; `topic` and `message_type` narrow the topics as well as the files."""
 
     limit: PageSize = 100
@@ -23,10 +36,22 @@ class TopicListQuery(FileFilter):
     count: bool = False
 
 
-class StatsQuery(FileFilter):
+class StatsQuery(FileQuery):
     """The query of statistics: by `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`."""
 
     by: Term = "project"
+
+
+@router.get("/search", operation_id="search")
+async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor: CurrentActor) -> SearchRead:
+    """Return what a query finds: the first missions, files and topics, with how many there are of each."""
+    return await service.search(db, actor, text=asked.query, sort=asked.sort, limit=asked.limit)
+
+
+@router.get("/search/facets", operation_id="get_facets")
+async def get_facets(db: Transaction, actor: CurrentActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
+    """Return how the files that a query finds divide, and the text of the query with each value chosen."""
+    return await facets.get_facets(db, actor, text=query)
 
 
 @router.get("/topics", operation_id="list_topics")
@@ -35,10 +60,10 @@ async def list_topics(
 ) -> Page[TopicRead]:
     """List the topics of the files that match, by name."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_topics(db, actor, matching=query, page=page)
+    return await service.list_topics(db, actor, matching=whole(query), page=page)
 
 
 @router.get("/stats", operation_id="get_stats")
 async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
-    return await service.get_stats(db, actor, by=query.by, matching=query)
+    return await service.get_stats(db, actor, by=query.by, matching=whole(query))

@@ -1,18 +1,48 @@
 """What is asked across missions and files."""
 
 from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.files import FileFilter, TopicRead
+from kleinkram.contract.files import FileFilter, FileSort, TopicRead
+from kleinkram.contract.missions import MissionFilter, MissionSort
 from kleinkram.contract.paging import Page
+from kleinkram.contract.query import parse, render
+from kleinkram.contract.searching import SearchRead, TopicFound
 from kleinkram.contract.stats import StatsRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
+from kleinkram.server.files import service as files
+from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000
+
+
+async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, limit: int) -> SearchRead:
+    """Return the first missions, files and topics that a query finds, and how many there are of each.
+
+    Raises:
+        InvalidQuery: the query cannot be read; says which word, at which column.
+    """
+    matching = parse(text)
+    page = PageRequest(limit, count=True)
+    sort_missions = MissionSort.start_desc
+    return SearchRead(
+        query=render(matching),
+        filter=matching,
+        missions=await missions.list_missions(
+            db, actor, matching=MissionFilter(), found=matching, sort=sort_missions, page=page
+        ),
+        files=await files.list_files(db, actor, matching=matching, sort=sort, page=page),
+        topics=await _topics_found(db, actor, matching, limit),
+    )
+
+
+async def _topics_found(db: Connection, actor: Actor, matching: FileFilter, limit: int) -> Page[TopicFound]:
+    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit))).all()
+    return Page(items=[queries.to_topic_found(row) for row in rows], total=rows[0].total if rows else 0)
 
 
 async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, page: PageRequest) -> Page[TopicRead]:

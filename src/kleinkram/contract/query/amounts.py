@@ -1,0 +1,138 @@
+"""Sizes, lengths of time and dates as they stand in a query: exact both ways."""
+
+import datetime
+import math
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+
+MOST = 2**63 - 1
+_NUMBER = re.compile(r"(?P<number>\d{1,20}(?:\.\d{1,20})?)\s*(?P<unit>[A-Za-z]*)", re.ASCII)
+_LETTERS = "kmgt"
+SIZES: Mapping[str, int] = {
+    "TB": 1000**4,
+    "GB": 1000**3,
+    "MB": 1000**2,
+    "kB": 1000,
+    "TiB": 1024**4,
+    "GiB": 1024**3,
+    "MiB": 1024**2,
+    "KiB": 1024,
+    "B": 1,
+}
+DURATIONS: Mapping[str, int] = {
+    "d": 86_400 * 10**9,
+    "h": 3_600 * 10**9,
+    "m": 60 * 10**9,
+    "s": 10**9,
+    "ms": 10**6,
+    "us": 10**3,
+    "ns": 1,
+}
+_UTC = datetime.timezone.utc
+_DATE = re.compile(r"(?P<year>\d{4})(?:-(?P<month>\d{2})(?:-(?P<day>\d{2}))?)?", re.ASCII)
+_MONTH = re.compile(r"[12]\d{3}-(0[1-9]|1[0-2])", re.ASCII)
+_ZONE = re.compile(r"[-+]\d{2}(:?\d{2})?$")
+
+
+def read_size(text: str) -> Fraction:
+    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    found = _NUMBER.fullmatch(text.strip())
+    unit = found["unit"].lower() if found else ""
+    stem = unit.removesuffix("b")
+    base = 1024 if stem.endswith("i") else 1000
+    letter = stem.removesuffix("i")
+    if found is None or (letter and letter not in _LETTERS) or len(letter) > 1 or stem == "i":
+        raise ValueError("say bytes, or a number with kB, MB, GB, TB or KiB, MiB, GiB, TiB")
+    power: int = base ** (_LETTERS.index(letter) + 1) if letter else 1
+    return Fraction(found["number"]) * power
+
+
+def read_duration(text: str) -> Fraction:
+    """Return the nanoseconds of `10m`, `1.5h`, `200ms`.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    found = _NUMBER.fullmatch(text.strip())
+    if found is None or found["unit"] not in DURATIONS:
+        raise ValueError("say a number with d, h, m, s, ms, us or ns")
+    return Fraction(found["number"]) * DURATIONS[found["unit"]]
+
+
+def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
+    """Return the smallest and the largest whole number that a comparison with `amount` lets through.
+
+    Raises:
+        ValueError: nothing can be so small or so large.
+    """
+    lowest, highest = math.ceil(amount), math.floor(amount)
+    least = {">": highest + 1, ">=": lowest, ":": lowest, "=": lowest}.get(operator)
+    most = {"<": lowest - 1, "<=": highest, ":": highest, "=": highest}.get(operator)
+    if most is not None and most < 0:
+        raise ValueError("nothing is smaller than 0")
+    if (least or 0) > MOST or (most or 0) > MOST:
+        raise ValueError("nothing is so large")
+    return least, most
+
+
+def say_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
+    """Return `>=NUMBER`, `<=NUMBER` or `:NUMBER` with a unit, or the same said of the number beside it, if shorter."""
+    if operator == ":":
+        return operator + _said(number, units)
+    other = (">", number - 1) if operator == ">=" else ("<", number + 1)
+    here, beside = operator + _said(number, units), other[0] + _said(other[1], units)
+    return beside if other[1] >= 0 and len(beside) < len(here) else here
+
+
+def read_time(text: str) -> datetime.datetime:
+    """Return the time of `2026`, `2026-05`, `2026-05-01` (their beginning) or `2026-05-01T10:00Z`; UTC unless it says.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    try:
+        return _read_time(text.strip())
+    except (ValueError, OverflowError):
+        raise ValueError("say a time as 2026-05-01 or 2026-05-01T10:00Z, a year or a month by itself too") from None
+
+
+def say_time(at: datetime.datetime) -> str:
+    """Return a time as `read_time` reads it; without zone it is UTC."""
+    moment = at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
+    if moment.time() == datetime.time():
+        return moment.date().isoformat()
+    return moment.replace(tzinfo=None).isoformat() + "Z"
+
+
+def read_month(text: str) -> str:
+    """Return a month such as `2026-05`.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if _MONTH.fullmatch(text) is None:
+        raise ValueError("say a month as 2026-05")
+    return text
+
+
+def _read_time(text: str) -> datetime.datetime:
+    if date := _DATE.fullmatch(text):
+        return datetime.datetime(int(date["year"]), int(date["month"] or 1), int(date["day"] or 1), tzinfo=_UTC)
+    text = text[:-1] + "+00:00" if text[-1:] in {"Z", "z"} else text
+    if (zone := _ZONE.search(text)) and len(zone[0]) < len("+00:00"):
+        hours, minutes = zone[0][:3], zone[0][3:].lstrip(":") or "00"
+        text = f"{text[: zone.start()]}{hours}:{minutes}"
+    at = datetime.datetime.fromisoformat(text)
+    return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
+
+
+def _said(number: int, units: Mapping[str, int]) -> str:
+    *_, smallest = units
+    if number == 0:
+        return f"0{smallest}"
+    return min((f"{number // size}{unit}" for unit, size in units.items() if number % size == 0), key=len)

@@ -1,0 +1,86 @@
+"""Facets: how what a query finds divides, and the query with each part chosen. Bounded in files and in time."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import psycopg
+from sqlalchemy import Row, func, select
+from sqlalchemy.exc import DBAPIError
+
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.query import parse, render
+from kleinkram.contract.query.keys import META, is_glob
+from kleinkram.contract.searching import Facet, FacetsRead, FacetValue
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import sees_whole_missions
+from kleinkram.server.db import Connection
+from kleinkram.server.search import choosing
+from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows
+
+# Files that are looked at, and for how long; fewer where that takes too long.
+_ATTEMPTS = ((20_000, 5_000), (1_000, 2_000))
+
+
+async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
+    """Return the facets of a query, of what this actor may see and nothing else.
+
+    Where even a few files take too long to find there are none, and the answer is not whole.
+
+    Raises:
+        InvalidQuery: the query cannot be read; says which word, at which column.
+    """
+    matching = parse(text)
+    for most, milliseconds in _ATTEMPTS:
+        rows = await _within(db, actor, matching, most=most, milliseconds=milliseconds)
+        if rows is not None:
+            looked_at = next(row.file_count for row in rows if not row.facet)
+            facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
+            return FacetsRead(query=render(matching), file_count=looked_at, is_whole=looked_at < most, facets=facets)
+    return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
+
+
+async def _within(
+    db: Connection, actor: Actor, matching: FileFilter, *, most: int, milliseconds: int
+) -> Sequence[Row[Any]] | None:
+    """Return the rows of all facets, or None where that takes too long."""
+    try:
+        async with db.begin_nested():
+            await db.execute(select(func.set_config("statement_timeout", str(milliseconds), True)))
+            return (await db.execute(facet_rows(actor, matching, most=most))).all()
+    except DBAPIError as error:
+        if isinstance(error.orig, psycopg.errors.QueryCanceled):
+            return None
+        raise
+
+
+def _facets(matching: FileFilter, rows: Sequence[Row[Any]], *, with_metadata: bool) -> Iterator[Facet]:
+    fields = list(dict.fromkeys(row.facet for row in rows if row.facet.startswith(META)))
+    fields += [META + field for field in choosing.fields(matching) if with_metadata and META + field not in fields]
+    for name in [*PLAIN_FACETS, *fields]:
+        held = [row for row in rows if row.facet == name]
+        values = [*_values(matching, name, held)]
+        if values:
+            yield Facet(name=name, values=values, value_count=max([len(values), *(row.value_count for row in held)]))
+
+
+def _values(matching: FileFilter, facet: str, rows: Iterable[Row[Any]]) -> Iterator[FacetValue]:
+    chosen = choosing.chosen(matching, facet)
+    in_order = sorted(rows, key=lambda row: row.value, reverse=True)
+    if facet != "month":
+        in_order = sorted(rows, key=lambda row: (-row.file_count, row.value))
+    shown = [row for row in in_order if choosing.can_be_asked(row.value, row.kind)]
+    for row in shown:
+        yield _value(matching, facet, row.value, row.file_count, row.kind)
+    # What is chosen stays to be taken back, whether or not it is among the first; globs are no values.
+    for value in chosen:
+        if not any(choosing.is_chosen([value], facet, row.value) for row in shown) and not is_glob(value):
+            yield _value(matching, facet, value, 0, "string")
+
+
+def _value(matching: FileFilter, facet: str, value: str, file_count: int, kind: str) -> FacetValue:
+    held = choosing.is_chosen(choosing.chosen(matching, facet), facet, value)
+    if held:
+        toggled = choosing.without_value(matching, facet, value)
+    else:
+        toggled = choosing.with_value(matching, facet, value, kind=kind)
+    return FacetValue(value=value, file_count=file_count, is_chosen=held, query=render(toggled))
