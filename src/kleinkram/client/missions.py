@@ -12,6 +12,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.names import is_id
+from kleinkram.contract.timelines import MissionTimeline, TimelineFile
 from kleinkram.contract.trash import Deleted
 
 
@@ -62,6 +63,16 @@ class Missions:
             if not any(self.list(matching, limit=1)):
                 raise
             return matching
+
+    def timeline(self, mission_id: uuid.UUID) -> Iterator[TimelineFile]:
+        """Yield when each file of a mission was recorded, by path: few bytes a file, ten thousand files a request."""
+        cursor: str | None = None
+        while True:
+            page = self._api.get(f"/missions/{mission_id}/timeline", MissionTimeline, query_of(None, cursor=cursor))
+            yield from page.items
+            cursor = page.next
+            if cursor is None:
+                return
 
     def create(
         self,

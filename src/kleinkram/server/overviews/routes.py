@@ -1,0 +1,25 @@
+"""Overviews over HTTP."""
+
+import uuid
+
+from fastapi import APIRouter
+
+from kleinkram.contract.paging import Cursor
+from kleinkram.contract.timelines import MAX_TIMELINE_FILES, MissionTimeline, TimelineSize
+from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.overviews import service
+from kleinkram.server.pages import PageRequest
+
+router = APIRouter(prefix="/api/v1", tags=["overviews"])
+
+
+@router.get("/missions/{mission_id}/timeline", operation_id="get_mission_timeline")
+async def get_mission_timeline(
+    mission_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: TimelineSize = MAX_TIMELINE_FILES,
+    cursor: Cursor | None = None,
+) -> MissionTimeline:
+    """Return when each file of a mission was recorded, by path: enough to draw all of them on one axis of time."""
+    return await service.get_timeline(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
