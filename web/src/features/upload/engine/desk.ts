@@ -1,0 +1,172 @@
+// The uploads of a page: one a mission at a time, each by itself. Begins them, pauses them, ends them, and tells of them.
+
+import type { Surroundings, UploadApi } from "./api";
+import { ApiProblem, Asking } from "./api";
+import { Hashing } from "./checksums";
+import type { Clock } from "./flow";
+import { Gate } from "./flow";
+import type { Journal, JournalHead } from "./journal";
+import type { Snapshot } from "./ledger";
+import { Ledger } from "./ledger";
+import type { Failure, PlannedFile } from "./nouns";
+import { Patience, Troubles } from "./patience";
+import type { Store } from "./store";
+import { Uploader } from "./uploader";
+
+const TELL_MS = 250;
+
+/**
+ * `signed_out`: it waits until the person has signed in again. `elsewhere`: another tab of this browser uploads into the
+ * mission. `failed`: something that concerns all files; what was sent is kept.
+ */
+export type Phase = "running" | "paused" | "signed_out" | "elsewhere" | "failed" | "cancelled" | "over";
+
+export interface Report {
+  readonly id: string;
+  readonly phase: Phase;
+  readonly failure: Failure | null;
+  readonly snapshot: Snapshot;
+}
+
+export interface DeskParts {
+  readonly api: UploadApi;
+  readonly store: Store;
+  readonly journal: Journal;
+  readonly clock: Clock;
+  readonly report: (report: Report) => void;
+  /** Run alone among the tabs of this browser; false, without running, where another has the name. */
+  readonly alone: (name: string, run: () => Promise<void>) => Promise<boolean>;
+}
+
+interface Run {
+  readonly id: string;
+  readonly ledger: Ledger;
+  readonly stop: AbortController;
+  readonly gate: Gate;
+  readonly patience: Patience;
+  phase: Phase;
+  failure: Failure | null;
+}
+
+export class Desk {
+  private readonly runs = new Map<string, Run>();
+  private readonly ends = new Map<string, Promise<void>>();
+
+  constructor(private readonly parts: DeskParts) {}
+
+  /** Upload files into a mission, after what is being uploaded into it already; resolves when it is over. */
+  async start(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
+    await this.parts.journal.begin(
+      head,
+      files.map(({ path, identity }) => ({ id: head.id, path, ...identity, state: "waiting", uploadId: null, sha256: null })),
+    );
+    const before = this.ends.get(head.id) ?? Promise.resolve();
+    const end = before.then(() => this.run(head, files));
+    this.ends.set(head.id, end);
+    await end;
+  }
+
+  pause(id: string): void {
+    const run = this.runs.get(id);
+    if (run === undefined) return;
+    run.phase = "paused";
+    run.gate.close();
+    this.tell(run);
+  }
+
+  goOn(id: string): void {
+    const run = this.runs.get(id);
+    if (run === undefined) return;
+    run.phase = "running";
+    run.ledger.meter.restart();
+    run.gate.open();
+    run.patience.nudge();
+    this.tell(run);
+  }
+
+  /** End an upload: what is there stays, the rest is forgotten. */
+  cancel(id: string): void {
+    const run = this.runs.get(id);
+    if (run === undefined) return;
+    run.phase = "cancelled";
+    run.stop.abort();
+  }
+
+  /** The network is back: whoever waits tries now. */
+  nudge(): void {
+    for (const run of this.runs.values()) run.patience.nudge();
+  }
+
+  private async run(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
+    const { clock, alone } = this.parts;
+    const run = this.opened(head, files);
+    this.runs.set(head.id, run);
+    const telling = this.telling(run);
+    if (!(await alone(`kleinkram-upload ${head.id}`, () => this.upload(run, head, files)))) run.phase = "elsewhere";
+    run.stop.abort();
+    await telling;
+    this.runs.delete(head.id);
+    if (run.phase !== "over") run.ledger.leave();
+    this.parts.report({ id: run.id, phase: run.phase, failure: run.failure, snapshot: run.ledger.snapshot(clock.now()) });
+  }
+
+  private opened(head: JournalHead, files: readonly PlannedFile[]): Run {
+    const stop = new AbortController();
+    const gate = new Gate(stop.signal);
+    const patience = new Patience(this.parts.clock, stop.signal, gate);
+    return { id: head.id, ledger: new Ledger(files), stop, gate, patience, phase: "running", failure: null };
+  }
+
+  private async upload(run: Run, head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
+    const { api, store, journal, clock } = this.parts;
+    const { ledger: watcher, gate, patience, stop } = run;
+    const troubles = new Troubles((trouble, isOver) => watcher.trouble(trouble, isOver));
+    const signedOut = () => {
+      run.phase = "signed_out";
+      this.tell(run);
+    };
+    const around: Surroundings = { clock, gate, patience, troubles, signedOut };
+    const asking = new Asking(api, around);
+    try {
+      const hashing = await Hashing.ready();
+      await new Uploader(head, { asking, store, journal, hashing, watcher, around, stop }).run(files);
+      if (run.phase === "cancelled") await this.forget(head.id);
+      else run.phase = "over";
+      await this.close(head.id);
+    } catch (error) {
+      run.phase = "failed";
+      run.failure = asFailure(error);
+    }
+  }
+
+  /** Forget an upload that was given up, and free the names that it holds. */
+  async forget(id: string): Promise<void> {
+    const { journal, api } = this.parts;
+    const open = (await journal.files(id)).flatMap(({ uploadId }) => (uploadId === null ? [] : [uploadId]));
+    await journal.drop(id);
+    for (const uploadId of open) await api.abort(uploadId); // what this cannot say runs out by itself
+  }
+
+  /** Drop the journal of an upload that is all there. */
+  private async close(id: string): Promise<void> {
+    const files = await this.parts.journal.files(id);
+    if (files.every((file) => file.state === "done")) await this.parts.journal.drop(id);
+  }
+
+  private async telling(run: Run): Promise<void> {
+    while (!run.stop.signal.aborted) {
+      this.tell(run);
+      await this.parts.clock.wait(TELL_MS, run.stop.signal);
+    }
+  }
+
+  private tell(run: Run): void {
+    const { id, phase, failure, ledger } = run;
+    this.parts.report({ id, phase, failure, snapshot: ledger.snapshot(this.parts.clock.now()) });
+  }
+}
+
+function asFailure(error: unknown): Failure {
+  if (error instanceof ApiProblem) return { kind: "problem", problem: error.problem };
+  return { kind: "transfer_failed", detail: error instanceof Error ? error.message : String(error) };
+}

@@ -1,0 +1,169 @@
+// What holds the loops of an upload together: queues, a budget of work ahead, pausing, and waits that can be cut short.
+
+/** It is over; whoever sees this goes home. */
+export class Stopped extends Error {
+  override readonly name = "Stopped";
+}
+
+/** Time as an upload sees it; tests bring their own. */
+export interface Clock {
+  /** Milliseconds since 1970. */
+  now(): number;
+  /** Resolves after so long, or as soon as `signal` aborts. */
+  wait(milliseconds: number, signal: AbortSignal): Promise<void>;
+}
+
+export const realClock: Clock = {
+  now: () => Date.now(),
+  wait: (milliseconds, signal) =>
+    new Promise((resolve) => {
+      if (signal.aborted) {
+        resolve();
+        return;
+      }
+      const done = () => {
+        clearTimeout(timer);
+        signal.removeEventListener("abort", done);
+        resolve();
+      };
+      const timer = setTimeout(done, milliseconds);
+      signal.addEventListener("abort", done);
+    }),
+};
+
+export function checkStopped(signal: AbortSignal): void {
+  if (signal.aborted) throw new Stopped();
+}
+
+/** Wakes everybody who waits for something to change. */
+class Changed {
+  private wakers: (() => void)[] = [];
+
+  constructor(private readonly signal: AbortSignal) {
+    signal.addEventListener("abort", () => this.wake());
+  }
+
+  wake(): void {
+    const wakers = this.wakers;
+    this.wakers = [];
+    for (const waker of wakers) waker();
+  }
+
+  /** @throws Stopped */
+  async next(): Promise<void> {
+    checkStopped(this.signal);
+    await new Promise<void>((resolve) => this.wakers.push(resolve));
+    checkStopped(this.signal);
+  }
+}
+
+/** Things on their way from one loop to another, in order. */
+export class Queue<T> {
+  private readonly items: T[] = [];
+  private readonly changed: Changed;
+
+  constructor(
+    private readonly signal: AbortSignal,
+    private readonly clock: Clock,
+  ) {
+    this.changed = new Changed(signal);
+  }
+
+  put(item: T): void {
+    this.items.push(item);
+    this.changed.wake();
+  }
+
+  /** Return what is there, waiting for a first thing. @throws Stopped */
+  async take(atMost: number): Promise<T[]> {
+    while (this.items.length === 0) await this.changed.next();
+    checkStopped(this.signal);
+    return this.items.splice(0, atMost);
+  }
+
+  /** Return what is there after so long, or once there are so many. @throws Stopped */
+  async gather(atMost: number, milliseconds: number): Promise<T[]> {
+    if (this.items.length < atMost) await this.clock.wait(milliseconds, this.signal);
+    checkStopped(this.signal);
+    return this.items.splice(0, atMost);
+  }
+}
+
+/**
+ * So much may be under way at once. One thing that is larger than all of it may go alone. Whoever must wait waits until
+ * half of it is free, so that work comes in bursts and can be spoken of in batches.
+ */
+export class Budget {
+  private taken = 0;
+  private readonly changed: Changed;
+
+  constructor(
+    signal: AbortSignal,
+    private readonly limit: number,
+  ) {
+    this.changed = new Changed(signal);
+  }
+
+  get used(): number {
+    return this.taken;
+  }
+
+  /** @throws Stopped */
+  async acquire(amount: number): Promise<void> {
+    let room = this.limit;
+    while (this.taken > 0 && this.taken + amount > room) {
+      room = this.limit / 2;
+      await this.changed.next();
+    }
+    this.taken += amount;
+  }
+
+  release(amount: number): void {
+    this.taken -= amount;
+    this.changed.wake();
+  }
+
+  /** Wait until nothing is under way. @throws Stopped */
+  async drained(): Promise<void> {
+    while (this.taken > 0) await this.changed.next();
+  }
+}
+
+/** Open or shut. While it is shut nothing new begins, and what is on its way is called back. */
+export class Gate {
+  private shut = false;
+  private calling = new AbortController();
+  private readonly changed: Changed;
+
+  constructor(private readonly signal: AbortSignal) {
+    this.changed = new Changed(signal);
+    signal.addEventListener("abort", () => this.calling.abort());
+  }
+
+  get isShut(): boolean {
+    return this.shut;
+  }
+
+  /** Aborts when the gate shuts, or when it is over. */
+  get called(): AbortSignal {
+    return this.calling.signal;
+  }
+
+  close(): void {
+    this.shut = true;
+    this.calling.abort();
+  }
+
+  open(): void {
+    if (!this.shut || this.signal.aborted) return;
+    this.shut = false;
+    this.calling = new AbortController();
+    this.changed.wake();
+  }
+
+  /** Wait until the gate is open. @throws Stopped */
+  async passed(): Promise<void> {
+    while (this.shut) await this.changed.next();
+    checkStopped(this.signal);
+  }
+}

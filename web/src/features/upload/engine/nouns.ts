@@ -1,0 +1,85 @@
+// The nouns of an upload: what was dropped, what is planned, how it goes and how it ends. No behaviour.
+
+import type { components } from "@/api/schema";
+
+type Schemas = components["schemas"];
+export type ChecksumKind = Schemas["ChecksumKind"];
+export type UploadFile = Schemas["UploadFile"];
+export type UploadRead = Schemas["UploadRead"];
+export type UploadDecision = Schemas["UploadDecisions"]["items"][number];
+export type PartToSign = Schemas["PartToSign"];
+export type SignedPart = Schemas["SignedPart"];
+export type UploadFinish = Schemas["UploadFinish"];
+export type UploadOutcome = Schemas["UploadOutcomes"]["items"][number];
+export type ProblemDocument = Schemas["ProblemDocument"];
+
+export const MIN_PART_BYTES = 8 * 1024 * 1024;
+export const MAX_FILE_BYTES = 5 * 1024 ** 4;
+
+/** What tells that a file is still the one that was chosen, as far as a browser can tell. */
+export interface Identity {
+  readonly sizeBytes: number;
+  /** Milliseconds since 1970. */
+  readonly modifiedMs: number;
+}
+
+/** A file that a person dropped or chose, and its path below what they dropped. */
+export interface Found {
+  readonly path: string;
+  readonly file: File;
+  /** Looks at the file anew, where the browser can; else only what it said first is known. */
+  readonly again?: () => Promise<File>;
+}
+
+export interface PlannedFile {
+  readonly path: string;
+  readonly file: File;
+  readonly identity: Identity;
+}
+
+/** Why a file is left out before anything begins. `detail` completes the sentence. */
+export type LeftOutReason = "active" | "growing" | "unreadable" | "name" | "too_large" | "collides";
+
+export interface LeftOut {
+  readonly path: string;
+  readonly reason: LeftOutReason;
+  readonly detail: string;
+}
+
+export interface UploadPlan {
+  readonly files: readonly PlannedFile[];
+  readonly leftOut: readonly LeftOut[];
+  readonly sizeBytes: number;
+  /** Folders that are one recording of several files. */
+  readonly rosbag2Folders: readonly string[];
+}
+
+/** Failures that the browser's side of an upload has a name for; all others are the server's, by their code. */
+export type LocalFailure = "file_changed" | "file_unreadable" | "transfer_failed";
+
+/** Why a file was not uploaded: the server's problem, or one found here, with what completes its sentence. */
+export type Failure =
+  | { readonly kind: "problem"; readonly problem: ProblemDocument }
+  | { readonly kind: LocalFailure; readonly detail: string };
+
+/** `left`: not begun when the upload was cancelled. */
+export type FileState = "waiting" | "reading" | "sending" | "uploaded" | "present" | "linked" | "refused" | "left";
+
+export interface FileProgress {
+  readonly path: string;
+  readonly state: FileState;
+  readonly sizeBytes: number;
+  readonly doneBytes: number;
+  readonly fileId: string | null;
+  readonly failure: Failure | null;
+}
+
+/** Whom an upload waits for. */
+export type Trouble = "server" | "store" | "lease";
+
+export interface MissionPlace {
+  readonly id: string;
+  readonly name: string;
+  readonly projectId: string;
+  readonly projectName: string;
+}

@@ -1,0 +1,250 @@
+// The loops of an upload: the caller's hashes, one signs, some send, one finishes, one keeps names held.
+//
+// Each byte is read once for its checksums; a PUT's body is a slice of the file, which the browser reads again by
+// itself. So memory is a few slices, and a part whose bytes changed in between is refused by the store, which checks it
+// against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
+
+import { ApiProblem, type Asking, type Surroundings } from "./api";
+import type { Hashing } from "./checksums";
+import { Budget, Queue, Stopped, checkStopped } from "./flow";
+import type { Journal } from "./journal";
+import { Leases } from "./leases";
+import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./nouns";
+import { FileFailure, checkUnchanged } from "./reading";
+import { type Part, type Sending, toSign } from "./sending";
+import { StoreRefused, sendPart } from "./sendpart";
+import type { Store } from "./store";
+import type { Watcher } from "./watcher";
+
+const AHEAD_BYTES = 128 * 1024 * 1024;
+const PART_COST = 512 * 1024; // what the smallest part counts, so that files under way are bounded too
+const FILES_UNDER_WAY = 256;
+const AT_ONCE = 100;
+const LINGER_MS = 20;
+const GATHER_MS = 500;
+
+/** Hears how each file's upload ended. `again`: what was sent is lost, and the file is to be announced anew. */
+export interface Ends {
+  uploaded(sending: Sending, fileId: string | null): Promise<void>;
+  failed(sending: Sending, failure: Failure): Promise<void>;
+  again(sending: Sending, problem: ProblemDocument): Promise<void>;
+}
+
+export interface Parts {
+  readonly asking: Asking;
+  readonly store: Store;
+  readonly journal: Journal;
+  readonly hashing: Hashing;
+  readonly watcher: Watcher;
+  readonly around: Surroundings;
+  readonly stop: AbortController;
+}
+
+const BEGUN_ANEW = new Set(["upload_gone", "not_found", "upload_incomplete"]);
+
+export class Pipeline {
+  /** What stopped everything, where something did. */
+  failure: unknown = null;
+  private readonly ahead: Budget;
+  private readonly underWay: Budget;
+  private readonly toSign: Queue<Part>;
+  private readonly toSend: Queue<readonly [Part, SignedPart]>;
+  private readonly toFinish: Queue<Sending>;
+  private readonly leases: Leases;
+
+  constructor(
+    private readonly parts: Parts,
+    private readonly ends: Ends,
+  ) {
+    const { signal } = parts.stop;
+    this.leases = new Leases(parts.asking, parts.around, signal);
+    this.ahead = new Budget(signal, AHEAD_BYTES);
+    this.underWay = new Budget(signal, FILES_UNDER_WAY);
+    this.toSign = new Queue(signal, parts.around.clock);
+    this.toSend = new Queue(signal, parts.around.clock);
+    this.toFinish = new Queue(signal, parts.around.clock);
+  }
+
+  /** Start the loops; so many send. Resolves when all have gone home. */
+  async loops(connections: number): Promise<void> {
+    const renewing = () => this.leases.renewing((sending, error) => this.ofOneFile(sending, error));
+    const loops = [() => this.signing(), () => this.finishing(), renewing];
+    for (let number = 0; number < connections; number++) loops.push(() => this.sending());
+    await Promise.all(loops.map((loop) => this.guarded(loop)));
+  }
+
+  private async guarded(loop: () => Promise<never>): Promise<void> {
+    try {
+      await loop();
+    } catch (error) {
+      if (error instanceof Stopped) return;
+      this.failure ??= error;
+      this.parts.stop.abort();
+    }
+  }
+
+  /** Hash an upload's parts and queue those that the store does not hold; waits while enough is under way. */
+  async submit(sending: Sending): Promise<void> {
+    const { hashing, watcher } = this.parts;
+    await this.underWay.acquire(1);
+    this.leases.hold(sending);
+    const isHashed = sending.sums !== null;
+    try {
+      if (!isHashed) hashing.beginWhole();
+      for (const [number, offset, sizeBytes] of sending.ranges()) {
+        if (sending.ended) break;
+        await this.queuePart(sending, number, offset, sizeBytes);
+      }
+      if (!isHashed && !sending.ended) sending.sums = hashing.endWhole();
+      watcher.state(sending.path, "sending");
+    } catch (error) {
+      await this.ofOneFile(sending, error);
+    }
+    this.countDone(sending);
+  }
+
+  /** Wait until every upload submitted has ended. @throws Stopped */
+  drained(): Promise<void> {
+    return this.underWay.drained();
+  }
+
+  private async queuePart(sending: Sending, number: number, offset: number, sizeBytes: number): Promise<void> {
+    const { hashing, watcher, around, stop } = this.parts;
+    await around.gate.passed();
+    const read = () => {
+      checkStopped(stop.signal);
+      watcher.state(sending.path, "sending");
+    };
+    const checksum = await sending.hashPart(hashing, offset, sizeBytes, read);
+    sending.latest = { upload_id: sending.upload.id, number, checksum };
+    if (sending.isHeld(number, sizeBytes, checksum)) {
+      watcher.held(sending.path, sizeBytes);
+      return;
+    }
+    const cost = Math.max(sizeBytes, PART_COST);
+    await this.ahead.acquire(cost);
+    sending.addPart();
+    this.toSign.put({ sending, number, offset, sizeBytes, checksum, cost });
+  }
+
+  private async signing(): Promise<never> {
+    for (;;) {
+      const parts = await this.toSign.take(AT_ONCE);
+      // More come within moments: one question for all of them.
+      if (parts.length < AT_ONCE) parts.push(...(await this.toSign.gather(AT_ONCE - parts.length, LINGER_MS)));
+      for (const part of parts) if (part.sending.ended) this.partOver(part);
+      await this.sign(parts.filter((part) => !part.sending.ended));
+    }
+  }
+
+  private async sign(parts: readonly Part[]): Promise<void> {
+    if (parts.length === 0) return;
+    try {
+      const signed = await this.parts.asking.sign(parts.map(toSign));
+      parts.forEach((part, place) => {
+        part.sending.renewedMs = this.parts.around.clock.now();
+        this.toSend.put([part, signed[place] as SignedPart]);
+      });
+    } catch (error) {
+      if (!(error instanceof ApiProblem) || !BEGUN_ANEW.has(error.code)) throw error;
+      await this.signApart(parts, error);
+    }
+  }
+
+  /** One of several uploads has ended: find out which, so that the others go on. */
+  private async signApart(parts: readonly Part[], error: ApiProblem): Promise<void> {
+    const sendings = new Set(parts.map((part) => part.sending));
+    if (sendings.size > 1) {
+      for (const each of sendings) await this.sign(parts.filter((part) => part.sending === each));
+      return;
+    }
+    for (const part of parts) {
+      await this.beginAnew(part.sending, error.problem);
+      this.partOver(part);
+    }
+  }
+
+  private async sending(): Promise<never> {
+    for (;;) {
+      for (const [part, signed] of await this.toSend.take(1)) {
+        try {
+          if (!part.sending.ended) await sendPart(part, signed, this.parts);
+        } catch (error) {
+          await this.ofOneFile(part.sending, error);
+        }
+        this.partOver(part);
+      }
+    }
+  }
+
+  private async finishing(): Promise<never> {
+    for (;;) {
+      const sent = await this.toFinish.take(AT_ONCE);
+      if (sent.length < Math.min(AT_ONCE, this.underWay.used)) {
+        sent.push(...(await this.toFinish.gather(AT_ONCE - sent.length, GATHER_MS)));
+      }
+      const ready: Sending[] = [];
+      for (const sending of sent) if (await this.isUnchanged(sending)) ready.push(sending);
+      if (ready.length === 0) continue;
+      const outcomes = await this.parts.asking.complete(ready.map((sending) => sending.toFinish()));
+      for (const [place, sending] of ready.entries()) {
+        await this.finished(sending, outcomes[place] as UploadOutcome);
+        this.release(sending);
+      }
+    }
+  }
+
+  private async isUnchanged(sending: Sending): Promise<boolean> {
+    try {
+      await checkUnchanged(sending.planned);
+      return true;
+    } catch (error) {
+      await this.ofOneFile(sending, error);
+      this.release(sending);
+      return false;
+    }
+  }
+
+  private async finished(sending: Sending, outcome: UploadOutcome): Promise<void> {
+    if (outcome.outcome === "completed") {
+      if (sending.end()) await this.ends.uploaded(sending, outcome.file?.id ?? null);
+    } else if (BEGUN_ANEW.has(outcome.problem.code)) {
+      await this.beginAnew(sending, outcome.problem);
+    } else {
+      await this.fail(sending, { kind: "problem", problem: outcome.problem });
+    }
+  }
+
+  /** End one file's upload by what went wrong with it; what concerns all is thrown on. */
+  private async ofOneFile(sending: Sending, error: unknown): Promise<void> {
+    if (error instanceof FileFailure) await this.fail(sending, { kind: error.kind, detail: error.detail });
+    else if (error instanceof StoreRefused) await this.fail(sending, { kind: "transfer_failed", detail: error.message });
+    else if (error instanceof ApiProblem && BEGUN_ANEW.has(error.code)) await this.beginAnew(sending, error.problem);
+    else throw error;
+  }
+
+  private async fail(sending: Sending, failure: Failure): Promise<void> {
+    if (sending.end()) await this.ends.failed(sending, failure);
+  }
+
+  private async beginAnew(sending: Sending, problem: ProblemDocument): Promise<void> {
+    if (sending.end()) await this.ends.again(sending, problem);
+  }
+
+  private partOver(part: Part): void {
+    this.ahead.release(part.cost);
+    this.countDone(part.sending);
+  }
+
+  private countDone(sending: Sending): void {
+    if (!sending.partDone()) return;
+    this.leases.letGo(sending);
+    if (sending.ended) this.release(sending);
+    else this.toFinish.put(sending);
+  }
+
+  private release(sending: Sending): void {
+    this.leases.letGo(sending);
+    this.underWay.release(1);
+  }
+}

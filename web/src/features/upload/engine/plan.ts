@@ -1,0 +1,122 @@
+// From what a person dropped to files of a mission, before a byte is read. What is left out is named, never dropped.
+
+import type { Found, Identity, LeftOut, PlannedFile, UploadPlan } from "./nouns";
+import { MAX_FILE_BYTES } from "./nouns";
+import type { PathProblem } from "./paths";
+import { checkFilePath, nameKey } from "./paths";
+import { pathProblem } from "@/texts/upload";
+
+const ACTIVE_SUFFIX = ".active";
+const RECENT_MS = 10_000;
+const WATCH_MS = 1_000;
+
+/** What planning needs of the world: the time, and a way to wait. */
+export interface Watch {
+  now(): number;
+  wait(milliseconds: number): Promise<void>;
+}
+
+export interface PlanOptions {
+  /** `tree` keeps the name of the folder dropped, as `klein upload day1` does; `contents` drops it, as `day1/` does. */
+  readonly layout: "tree" | "contents";
+  readonly watch: Watch;
+}
+
+export function identityOf(file: File): Identity {
+  return { sizeBytes: file.size, modifiedMs: file.lastModified };
+}
+
+export function sameIdentity(one: Identity, other: Identity): boolean {
+  return one.sizeBytes === other.sizeBytes && one.modifiedMs === other.modifiedMs;
+}
+
+/**
+ * Return what uploading these means, sorted by path, so that the files of one recording are sent one after the other.
+ *
+ * Files that are still being recorded are left out: those whose name ends in `.active`, and those that grow while they
+ * are watched for a second (only files modified in the last seconds are watched).
+ */
+export async function planUpload(found: readonly Found[], { layout, watch }: PlanOptions): Promise<UploadPlan> {
+  const leftOut: LeftOut[] = [];
+  const byKey = new Map<string, { found: Found; planned: PlannedFile }>();
+  for (const each of found) {
+    const planned = judged(each, layout === "tree" ? each.path : withoutRoot(each.path), leftOut);
+    if (planned === null) continue;
+    const key = nameKey(planned.path);
+    const other = byKey.get(key);
+    if (other === undefined) byKey.set(key, { found: each, planned });
+    else leftOut.push({ path: each.path, reason: "collides", detail: other.found.path });
+  }
+  const growing = await growingPaths([...byKey.values()], watch);
+  const files: PlannedFile[] = [];
+  for (const { planned } of byKey.values()) {
+    if (growing.has(planned.path)) leftOut.push({ path: planned.path, reason: "growing", detail: "" });
+    else files.push(planned);
+  }
+  files.sort((one, other) => (one.path < other.path ? -1 : 1));
+  const sizeBytes = files.reduce((sum, file) => sum + file.identity.sizeBytes, 0);
+  return { files, leftOut, sizeBytes, rosbag2Folders: rosbag2Folders(files) };
+}
+
+/** Return the folders of a rosbag2 recording: those with a metadata.yaml beside its bags. */
+export function rosbag2Folders(files: readonly PlannedFile[]): string[] {
+  const described = new Set<string>();
+  const bags = new Set<string>();
+  for (const { path } of files) {
+    const cut = path.lastIndexOf("/");
+    const [folder, name] = [path.slice(0, Math.max(cut, 0)), path.slice(cut + 1)];
+    if (name === "metadata.yaml") described.add(folder);
+    if (/\.(db3|mcap)(\.zstd)?$/.test(name)) bags.add(folder);
+  }
+  return [...described].filter((folder) => bags.has(folder)).sort();
+}
+
+function withoutRoot(path: string): string {
+  return path.slice(path.indexOf("/") + 1);
+}
+
+function judged(found: Found, path: string, leftOut: LeftOut[]): PlannedFile | null {
+  const name = path.slice(path.lastIndexOf("/") + 1);
+  const checked = checkFilePath(path);
+  const leave = (reason: LeftOut["reason"], detail = "") => {
+    leftOut.push({ path, reason, detail });
+    return null;
+  };
+  if (typeof checked !== "string") return leave("name", said(checked));
+  if (name.endsWith(ACTIVE_SUFFIX)) return leave("active");
+  if (found.file.size > MAX_FILE_BYTES) return leave("too_large");
+  return { path: checked, file: found.file, identity: identityOf(found.file) };
+}
+
+function said(problem: PathProblem): string {
+  return pathProblem[problem.problem](problem.detail);
+}
+
+interface Watched {
+  readonly found: Found;
+  readonly planned: PlannedFile;
+}
+
+async function growingPaths(all: readonly Watched[], watch: Watch): Promise<Set<string>> {
+  const now = watch.now();
+  const recent = all.filter(({ planned }) => now - planned.identity.modifiedMs < RECENT_MS);
+  const growing = new Set<string>();
+  if (recent.length === 0) return growing;
+  await watch.wait(WATCH_MS);
+  for (const { found, planned } of recent) {
+    if (await hasChanged(found, planned.identity)) growing.add(planned.path);
+  }
+  return growing;
+}
+
+async function hasChanged(found: Found, then: Identity): Promise<boolean> {
+  try {
+    const now = found.again === undefined ? found.file : await found.again();
+    if (!sameIdentity(identityOf(now), then)) return true;
+    // A browser refuses to read what has been written to since it was chosen.
+    await found.file.slice(Math.max(0, then.sizeBytes - 1), then.sizeBytes).arrayBuffer();
+    return false;
+  } catch {
+    return true;
+  }
+}

@@ -1,0 +1,53 @@
+// The worker in which uploads run: hashing holds up no page, and a tab in the background does not sleep here.
+
+import { Desk } from "./desk";
+import { realClock } from "./flow";
+import { httpApi } from "./http";
+import { openJournal } from "./indexeddb";
+import type { Journal } from "./journal";
+import { MemoryJournal } from "./memory";
+import type { Command } from "./protocol";
+import { realStore } from "./store";
+
+async function alone(name: string, run: () => Promise<void>): Promise<boolean> {
+  // Only where the page came safely (https, or this machine) do tabs have locks; elsewhere the server's lease decides.
+  if (!("locks" in navigator)) {
+    await run();
+    return true;
+  }
+  return navigator.locks.request(name, { ifAvailable: true }, async (lock) => {
+    if (lock !== null) await run();
+    return lock !== null;
+  });
+}
+
+async function kept(): Promise<Journal> {
+  try {
+    return await openJournal();
+  } catch {
+    return new MemoryJournal();
+  }
+}
+
+const desk = kept().then(
+  (journal) =>
+    new Desk({
+      api: httpApi(self.location.origin),
+      store: realStore,
+      journal,
+      clock: realClock,
+      report: (report) => self.postMessage(report),
+      alone,
+    }),
+);
+
+self.addEventListener("message", ({ data }: MessageEvent<Command>) => {
+  void desk.then((at) => {
+    if (data.kind === "start") return at.start(data.head, data.files);
+    if (data.kind === "pause") at.pause(data.id);
+    if (data.kind === "go_on") at.goOn(data.id);
+    if (data.kind === "cancel") at.cancel(data.id);
+    return undefined;
+  });
+});
+self.addEventListener("online", () => void desk.then((at) => at.nudge()));

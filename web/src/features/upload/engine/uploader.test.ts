@@ -1,0 +1,359 @@
+// @vitest-environment node
+import { beforeEach, describe, expect, it } from "vitest";
+import { Desk, type Report } from "./desk";
+import type { JournalHead } from "./journal";
+import { MemoryJournal } from "./memory";
+import type { FileProgress, PlannedFile, Trouble } from "./nouns";
+import { identityOf } from "./plan";
+import { FastClock } from "./testing/clock";
+import { House, problem, sum } from "./testing/house";
+
+const HEAD: JournalHead = {
+  id: "ada/m", personId: "ada", layout: "tree", roots: ["day1"], beganMs: 0,
+  mission: { id: "m", name: "M", projectId: "p", projectName: "P" },
+};
+const LARGE = 9 * 1024 * 1024;
+
+let clock: FastClock;
+let house: House;
+let journal: MemoryJournal;
+let reports: Report[];
+
+beforeEach(() => {
+  clock = new FastClock();
+  house = new House(clock);
+  journal = new MemoryJournal();
+  reports = [];
+});
+
+function bytesOf(sizeBytes: number, seed = 1): Uint8Array {
+  return Uint8Array.from({ length: sizeBytes }, (_, place) => (place * 31 + seed * (place >> 8) + seed) & 255);
+}
+
+function planned(path: string, bytes: Uint8Array, modifiedMs = 1000): PlannedFile {
+  const file = new File([bytes as BlobPart], path.split("/").at(-1) ?? path, { lastModified: modifiedMs });
+  return { path, file, identity: identityOf(file) };
+}
+
+function desk(on: (report: Report, desk: Desk) => void = () => undefined): Desk {
+  const heard = reports;
+  const report = (told: Report) => {
+    heard.push(told);
+    on(told, made);
+  };
+  const alone = async (_: string, run: () => Promise<void>) => (await run(), true);
+  const made = new Desk({ api: house, store: house, journal, clock, report, alone });
+  return made;
+}
+
+function arrived(path: string, bytes: Uint8Array): void {
+  expect(Buffer.from(house.files.get(path) ?? []).equals(bytes), `${path} arrived whole`).toBe(true);
+}
+
+function ends(): Map<string, FileProgress> {
+  return new Map(reports.flatMap(({ snapshot }) => snapshot.changed.map((file) => [file.path, file] as const)));
+}
+
+function last(): Report {
+  return reports.at(-1) as Report;
+}
+
+function troubles(): Set<Trouble> {
+  return new Set(reports.flatMap(({ snapshot }) => [...snapshot.troubles]));
+}
+
+describe("an upload", () => {
+  it("brings every byte, in one part or many or none, and leaves no journal", async () => {
+    const all = [planned("day1/a", bytesOf(3500)), planned("day1/b", bytesOf(10)), planned("day1/empty", bytesOf(0))];
+    await desk().start(HEAD, all);
+    for (const { path, file } of all) arrived(path, new Uint8Array(await file.arrayBuffer()));
+    expect(last()).toMatchObject({ phase: "over", snapshot: { doneBytes: 3510, totalBytes: 3510 } });
+    expect([...ends().values()].map(({ state }) => state)).toEqual(["uploaded", "uploaded", "uploaded"]);
+    expect(await journal.heads("ada")).toEqual([]);
+    expect(await journal.files(HEAD.id)).toEqual([]);
+  });
+
+  it("reads a large file once, and states both checksums of the whole", async () => {
+    house.partBytes = 4 * 1024 * 1024;
+    const large = bytesOf(LARGE);
+    await desk().start(HEAD, [planned("large", large)]);
+    expect(house.asked).toMatchObject([{ path: "large", sha256: null }]);
+    expect(house.puts).toHaveLength(3);
+    arrived("large", large);
+  });
+
+  it.each(["sha256", "md5"] as const)("goes to stores that prove parts by %s", async (kind) => {
+    house.checksum = kind;
+    await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
+    expect([...house.files.keys()].sort()).toEqual(["a", "b"]);
+  });
+
+  it("sends nothing that is there already, and says so", async () => {
+    house.files.set("a", bytesOf(50));
+    await desk().start(HEAD, [planned("a", bytesOf(50))]);
+    expect(house.puts).toEqual([]);
+    expect(ends().get("a")?.state).toBe("present");
+  });
+
+  it("reads a large file first where the server asks for its checksum", async () => {
+    house.files.set("a", bytesOf(LARGE));
+    await desk().start(HEAD, [planned("a", bytesOf(LARGE))]);
+    expect(house.asked.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
+    expect(ends().get("a")?.state).toBe("present");
+  });
+
+  it("refuses a name with other content, with both hashes, and brings the others", async () => {
+    house.files.set("a", bytesOf(50, 2));
+    await desk().start(HEAD, [planned("a", bytesOf(50)), planned("b", bytesOf(60))]);
+    const failure = ends().get("a")?.failure;
+    const [theirs, ours] = [await sum("sha256", bytesOf(50, 2)), await sum("sha256", bytesOf(50))];
+    expect(failure).toMatchObject({ problem: { code: "file_exists", existing_sha256: theirs, given_sha256: ours } });
+    expect(house.files.has("b")).toBe(true);
+    expect(last().snapshot).toMatchObject({ doneBytes: 60, totalBytes: 60 });
+    expect(await journal.heads("ada")).toEqual([]);
+  });
+
+  it("refuses what has no room, and keeps it for another day", async () => {
+    house.trouble = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
+    await desk().start(HEAD, [planned("a", bytesOf(50))]);
+    expect(ends().get("a")?.failure).toMatchObject({ problem: { code: "quota_exceeded" } });
+    expect(await journal.files(HEAD.id)).toMatchObject([{ path: "a", state: "waiting" }]);
+  });
+
+  it("refuses a file that was written to while it was read, and frees its name", async () => {
+    const changed = planned("a", bytesOf(LARGE));
+    house.partBytes = 1024 * 1024;
+    const slice = changed.file.slice.bind(changed.file);
+    changed.file.slice = (from = 0, to = 0) =>
+      from < 5_000_000 ? slice(from, to) : ({ arrayBuffer: () => Promise.reject(new DOMException("", "NotReadableError")) } as Blob);
+    await desk().start(HEAD, [changed, planned("b", bytesOf(9))]);
+    expect(ends().get("a")?.failure).toMatchObject({ kind: "file_changed" });
+    expect(house.aborted).toEqual(["upload-1"]);
+    expect(house.openUploads).toEqual([]);
+    expect(house.files.has("b")).toBe(true);
+  });
+
+  it("stops at what concerns all files, and keeps what was sent", async () => {
+    house.trouble = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
+    house.partBytes = 1_000_000;
+    await desk().start(HEAD, [planned("a", bytesOf(LARGE))]);
+    expect(last()).toMatchObject({ phase: "failed", failure: { problem: { code: "internal_error", request_id: "r1" } } });
+    expect(ends().get("a")?.state).toBe("left");
+    expect(await journal.files(HEAD.id)).toMatchObject([{ state: "sending" }]);
+  });
+});
+
+describe("after a reload", () => {
+  const whole = bytesOf(LARGE);
+
+  async function interrupted(parts: number): Promise<void> {
+    house.partBytes = 1_000_000;
+    house.trouble = (what) => {
+      if (what !== "put") return "fine";
+      if (house.puts.length < parts) return "fine";
+      return { meaning: "try_again", etag: "", reason: "" };
+    };
+    const first = desk(({ phase, snapshot }, at) => {
+      if (phase === "running" && snapshot.troubles.includes("store")) at.pause(HEAD.id); // as a page that is closed: it does nothing more
+    });
+    void first.start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
+    await expect.poll(() => last().phase).toBe("paused");
+    clock.freeze();
+    clock = new FastClock();
+    house.clock = clock;
+    house.trouble = () => "fine";
+    house.puts.length = 0;
+    reports = [];
+  }
+
+  it("sends only the parts that the store does not hold", async () => {
+    await interrupted(4);
+    await desk().start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
+    arrived("a", whole);
+    expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 4);
+  });
+
+  it("sends again each part whose bytes are other ones now", async () => {
+    await interrupted(4);
+    const other = whole.slice();
+    other[10] = 99;
+    await desk().start(HEAD, [planned("a", other, 2000), planned("b", bytesOf(5))]);
+    arrived("a", other);
+    expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 3);
+  });
+
+  it("begins a file anew that has another size now", async () => {
+    await interrupted(4);
+    await desk().start(HEAD, [planned("a", bytesOf(LARGE + 1), 2000)]);
+    expect(house.aborted).toEqual(["upload-1"]);
+    arrived("a", bytesOf(LARGE + 1));
+  });
+
+  it("does not read again what had come in and is the same file still", async () => {
+    await interrupted(4);
+    await journal.note([{ id: HEAD.id, path: "b", sizeBytes: 5, modifiedMs: 1000, state: "done", uploadId: null, sha256: await sum("sha256", bytesOf(5)) }]);
+    house.files.set("b", bytesOf(5));
+    const unread = planned("b", bytesOf(5));
+    unread.file.slice = () => { throw new Error("it is read"); };
+    await desk().start(HEAD, [planned("a", whole), unread]);
+    expect(ends().get("b")?.state).toBe("present");
+  });
+});
+
+describe("trouble", () => {
+  it("waits for a server that is away, says so, and goes on", async () => {
+    let tries = 0;
+    house.trouble = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(tries).toBe(9);
+    expect(troubles()).toEqual(new Set(["server"]));
+    expect(last().snapshot.troubles).toEqual([]);
+    expect(house.files.has("a")).toBe(true);
+  });
+
+  it("waits for a store that is away, whatever the server says of it", async () => {
+    let tries = 0;
+    house.trouble = (what) => {
+      if (what === "put" && ++tries < 6) return { meaning: "try_again", etag: "", reason: "" };
+      return what === "complete" && ++tries < 12 ? { problem: problem("store_unavailable", 503) } : "fine";
+    };
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(last()).toMatchObject({ phase: "over", snapshot: { doneBytes: 5, totalBytes: 5 } });
+    expect(troubles()).toEqual(new Set(["store", "server"]));
+  });
+
+  it("waits as long as a server says that is asked too often", async () => {
+    let told = false;
+    house.trouble = (what) => {
+      if (what !== "begin" || told) return "fine";
+      told = true;
+      return { problem: problem("rate_limited", 429, { retry_after_s: 40 }) };
+    };
+    const before = clock.now();
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(clock.now() - before).toBeGreaterThanOrEqual(40_000);
+    expect(house.files.has("a")).toBe(true);
+  });
+
+  it("has an address signed again that is no longer good", async () => {
+    const sign = house.sign.bind(house);
+    let late = true;
+    house.sign = async (parts) => {
+      const signed = await sign(parts);
+      if (late) clock.pass(16 * 60_000);
+      late = false;
+      return signed;
+    };
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(house.puts).toHaveLength(1);
+    expect(house.files.has("a")).toBe(true);
+  });
+
+  it("gives up a part that the store refuses again and again", async () => {
+    house.trouble = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(house.puts).toHaveLength(4);
+    expect(ends().get("a")?.failure).toEqual({ kind: "transfer_failed", detail: "400 BadDigest" });
+  });
+
+  it("begins a file anew whose upload has ended behind its back", async () => {
+    let lost = false;
+    house.trouble = (what) => {
+      if (what === "complete" && !lost) {
+        lost = true;
+        house.lose("a");
+      }
+      return "fine";
+    };
+    await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(5))]);
+    arrived("a", bytesOf(2500));
+    expect(last().snapshot).toMatchObject({ doneBytes: 2505, totalBytes: 2505 });
+  });
+
+  it("keeps its names while a store is away for minutes", async () => {
+    const until = clock.now() + 5 * 60_000;
+    const leases: number[] = [];
+    house.trouble = (what) => {
+      if (what !== "put" || clock.now() > until) return "fine";
+      leases.push(...house.openUploads.map((upload) => upload.leaseMs - clock.now()));
+      return { meaning: "try_again", etag: "", reason: "" };
+    };
+    await desk().start(HEAD, [planned("a", bytesOf(2500))]);
+    expect(Math.min(...leases)).toBeGreaterThan(0);
+    expect(house.files.has("a")).toBe(true);
+  });
+
+  it("waits for a name whose holder has died, and refuses one whose holder lives", async () => {
+    house.lease("dead");
+    const alive = house.lease("alive");
+    house.trouble = (what) => {
+      if (what === "begin" && house.asked.length > 0) alive.leaseMs = clock.now() + 60_000;
+      return "fine";
+    };
+    await desk().start(HEAD, [planned("dead", bytesOf(5)), planned("alive", bytesOf(5))]);
+    expect(house.files.has("dead")).toBe(true);
+    expect(ends().get("alive")?.failure).toMatchObject({ problem: { code: "name_leased" } });
+    expect(troubles()).toContain("lease");
+  });
+});
+
+describe("a person", () => {
+  it("pauses, when nothing is sent, and goes on", async () => {
+    house.partBytes = 1_000_000;
+    let atPause = -1;
+    const at = desk();
+    house.trouble = (what) => {
+      if (what === "put" && house.puts.length === 3 && atPause < 0) {
+        at.pause(HEAD.id);
+        atPause = house.puts.length;
+        void clock.wait(300_000, new AbortController().signal).then(() => {
+          expect(house.puts.length - atPause).toBeLessThanOrEqual(4);
+          at.goOn(HEAD.id);
+        });
+      }
+      return "fine";
+    };
+    await at.start(HEAD, [planned("a", bytesOf(LARGE))]);
+    expect(reports.some(({ phase }) => phase === "paused")).toBe(true);
+    arrived("a", bytesOf(LARGE));
+  });
+
+  it("signs in again and the upload goes on where it was", async () => {
+    let isSignedIn = true;
+    house.partBytes = 1_000_000;
+    house.trouble = (what) => {
+      if (house.puts.length === 2 && what === "put") isSignedIn = false;
+      return what !== "put" && !isSignedIn ? { problem: problem("not_authenticated", 401) } : "fine";
+    };
+    const at = desk(({ phase }) => {
+      if (phase !== "signed_out" || isSignedIn) return;
+      house.trouble = () => "fine";
+      isSignedIn = true;
+      queueMicrotask(() => at.goOn(HEAD.id));
+    });
+    await at.start(HEAD, [planned("a", bytesOf(LARGE))]);
+    expect(reports.some(({ phase }) => phase === "signed_out")).toBe(true);
+    arrived("a", bytesOf(LARGE));
+  });
+
+  it("cancels: what came in stays, names are free, and nothing is remembered", async () => {
+    house.partBytes = 1_000_000;
+    const at = desk();
+    house.trouble = (what) => {
+      if (what === "put" && house.puts.length === 3) at.cancel(HEAD.id);
+      return "fine";
+    };
+    await at.start(HEAD, [planned("a", bytesOf(5)), planned("b", bytesOf(LARGE))]);
+    expect(last().phase).toBe("cancelled");
+    expect(house.openUploads).toEqual([]);
+    expect(ends().get("b")?.state).toBe("left");
+    expect(await journal.heads("ada")).toEqual([]);
+  });
+
+  it("adds files to an upload that runs: they come after it", async () => {
+    const at = desk();
+    await Promise.all([at.start(HEAD, [planned("a", bytesOf(5))]), at.start(HEAD, [planned("b", bytesOf(6))])]);
+    expect([...house.files.keys()]).toEqual(["a", "b"]);
+    expect(await journal.heads("ada")).toEqual([]);
+  });
+});

@@ -1,0 +1,231 @@
+// Announcing files to the server, and acting on what it decides for each. The bytes are the pipeline's.
+//
+// Files are announced a batch at a time, just before they are sent, so that no lease runs out while others are sent.
+
+import { ApiProblem } from "./api";
+import { batches } from "./batches";
+import { Candidate } from "./candidate";
+import { Stopped } from "./flow";
+import type { JournalFile, JournalHead } from "./journal";
+import { Leased } from "./leased";
+import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./nouns";
+import { Pipeline } from "./pipeline";
+import type { Parts } from "./pipeline";
+import { FileFailure } from "./reading";
+import { Sending } from "./sending";
+
+export const CONNECTIONS = 4;
+const BEGINNINGS = 4;
+/** What trying again does not mend, unless somebody changes what is there. */
+const FINAL = new Set(["file_exists", "path_conflict"]);
+
+/** One run of an upload into one mission. */
+export class Uploader {
+  private readonly pipeline: Pipeline;
+  private remembered = new Map<string, JournalFile>();
+  private readonly beginnings = new Map<string, number>();
+  private readonly leased: Leased;
+  private anew: PlannedFile[] = [];
+
+  constructor(
+    private readonly head: JournalHead,
+    private readonly parts: Parts,
+  ) {
+    this.leased = new Leased(parts.around);
+    this.pipeline = new Pipeline(parts, {
+      uploaded: (sending, fileId) => this.uploaded(sending, fileId),
+      failed: (sending, failure) => this.failed(sending, failure),
+      again: (sending, problem) => this.again(sending, problem),
+    });
+  }
+
+  /**
+   * Upload the files; resolves when each has ended, or all was stopped.
+   *
+   * @throws ApiProblem, or whatever else concerns all files; those that had not ended have not been uploaded
+   */
+  async run(files: readonly PlannedFile[], connections = CONNECTIONS): Promise<void> {
+    const { journal, stop } = this.parts;
+    this.remembered = new Map((await journal.files(this.head.id)).map((file) => [file.path, file]));
+    const loops = this.pipeline.loops(connections);
+    try {
+      await this.announceAll(files);
+      await this.settle();
+    } catch (error) {
+      if (!(error instanceof Stopped)) this.pipeline.failure ??= error;
+    }
+    stop.abort();
+    await loops;
+    if (this.pipeline.failure !== null) throw this.pipeline.failure as Error;
+  }
+
+  private async settle(): Promise<void> {
+    for (;;) {
+      await this.leased.settle(
+        (files) => this.announceAll(files),
+        (file, problem) => this.refused(file, { kind: "problem", problem }),
+      );
+      await this.pipeline.drained();
+      const anew = this.anew.splice(0);
+      if (anew.length === 0) return;
+      await this.announceAll(anew);
+    }
+  }
+
+  private async announceAll(files: readonly PlannedFile[]): Promise<void> {
+    for (const batch of batches(files)) await this.announce(batch);
+  }
+
+  private async announce(batch: readonly PlannedFile[]): Promise<void> {
+    let asking: Candidate[] = [];
+    for (const file of batch) {
+      const candidate = await this.opened(file);
+      if (candidate !== null) asking.push(candidate);
+    }
+    while (asking.length > 0) {
+      const decisions = await this.begin(asking);
+      if (decisions === null) return;
+      // All written down before the first is sent: a crash from here on leaves none that cannot be resumed.
+      await this.writeDown(asking, decisions);
+      const again: Candidate[] = [];
+      for (const [place, candidate] of asking.entries()) {
+        if (await this.asksAgain(candidate, decisions[place] as UploadDecision)) again.push(candidate);
+      }
+      asking = again;
+    }
+  }
+
+  private async begin(asking: readonly Candidate[]): Promise<readonly UploadDecision[] | null> {
+    const files: UploadFile[] = asking.map((candidate) => candidate.announcement());
+    try {
+      return await this.parts.asking.begin(this.head.mission.id, files);
+    } catch (error) {
+      if (!(error instanceof ApiProblem) || error.code !== "quota_exceeded") throw error;
+      for (const { planned } of asking) this.refused(planned, { kind: "problem", problem: error.problem });
+      return null;
+    }
+  }
+
+  /** Take a file up: with what the journal remembers of it, and read already where it is small. */
+  private async opened(planned: PlannedFile): Promise<Candidate | null> {
+    const candidate = new Candidate(planned, this.remembered.get(planned.path) ?? null);
+    try {
+      const lost = candidate.dropOtherSize();
+      if (lost !== null) await this.parts.asking.abort(lost);
+      if (candidate.isSmall) await this.hashWhole(candidate);
+      return candidate;
+    } catch (error) {
+      if (!(error instanceof FileFailure)) throw error;
+      this.refused(planned, { kind: error.kind, detail: error.detail });
+      return null;
+    }
+  }
+
+  private async hashWhole(candidate: Candidate): Promise<void> {
+    const { hashing, watcher, around } = this.parts;
+    watcher.state(candidate.planned.path, "reading");
+    await candidate.hashWhole(hashing, () => around.gate.passed());
+  }
+
+  private async writeDown(asking: readonly Candidate[], decisions: readonly UploadDecision[]): Promise<void> {
+    const files: JournalFile[] = [];
+    for (const [place, { planned }] of asking.entries()) {
+      const decision = decisions[place];
+      if (decision?.decision === "send") files.push(this.written(planned, "sending", decision.upload.id));
+    }
+    if (files.length > 0) await this.note(files);
+  }
+
+  /** Act on a decision; return true when the server wants to be asked again, with what it lacked. */
+  private async asksAgain(candidate: Candidate, decision: UploadDecision): Promise<boolean> {
+    const { journal, watcher, around } = this.parts;
+    const { planned } = candidate;
+    switch (decision.decision) {
+      case "hash_first":
+        return this.hashFirst(candidate);
+      case "refused":
+        return this.refusedAtFirst(candidate, decision.problem);
+      case "present":
+      case "linked": {
+        const sha256 = decision.file?.sha256 ?? candidate.sha256;
+        await this.note([this.written(planned, "done", null, sha256)]);
+        watcher.held(planned.path, planned.identity.sizeBytes);
+        watcher.ended(planned.path, decision.decision, decision.file?.id ?? null, null);
+        return false;
+      }
+      case "send": {
+        const written = await journal.parts(decision.upload.id);
+        const now = around.clock.now();
+        await this.pipeline.submit(new Sending(planned, decision.upload, written, candidate.sums, now));
+        return false;
+      }
+    }
+  }
+
+  private async hashFirst(candidate: Candidate): Promise<boolean> {
+    try {
+      await this.hashWhole(candidate);
+      return true;
+    } catch (error) {
+      if (!(error instanceof FileFailure)) throw error;
+      this.refused(candidate.planned, { kind: error.kind, detail: error.detail });
+      return false;
+    }
+  }
+
+  private refusedAtFirst(candidate: Candidate, problem: ProblemDocument): boolean {
+    if (problem.code === "upload_gone" && candidate.forgetUpload()) return true;
+    if (problem.code === "name_leased") this.leased.add(candidate.planned, problem);
+    else this.refused(candidate.planned, { kind: "problem", problem });
+    return false;
+  }
+
+  private async uploaded(sending: Sending, fileId: string | null): Promise<void> {
+    const done = this.written(sending.planned, "done", null, sending.toFinish().sha256);
+    await this.note([done], [sending.upload.id]);
+    this.parts.watcher.ended(sending.path, "uploaded", fileId, null);
+  }
+
+  private async failed(sending: Sending, failure: Failure): Promise<void> {
+    if (failure.kind === "file_changed") await this.parts.asking.abort(sending.upload.id); // its name is free at once
+    const isResumable = failure.kind === "transfer_failed" || failure.kind === "file_unreadable";
+    if (!isResumable) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
+    this.refused(sending.planned, failure);
+  }
+
+  /** What was sent is lost (the upload expired, or another client took the name over): begin the file anew. */
+  private async again(sending: Sending, problem: ProblemDocument): Promise<void> {
+    const begun = (this.beginnings.get(sending.path) ?? 1) + 1;
+    this.beginnings.set(sending.path, begun);
+    const isKept = problem.code === "upload_incomplete";
+    if (!isKept) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
+    if (begun > BEGINNINGS) {
+      this.refused(sending.planned, { kind: "problem", problem });
+      return;
+    }
+    this.parts.watcher.reset(sending.path);
+    this.anew.push(sending.planned);
+  }
+
+  private refused(planned: PlannedFile, failure: Failure): void {
+    this.parts.watcher.ended(planned.path, "refused", null, failure);
+    if (failure.kind === "problem" && FINAL.has(failure.problem.code)) {
+      void this.parts.journal.remove(this.head.id, [planned.path]);
+    }
+  }
+
+  private async note(files: readonly JournalFile[], forgotten: readonly string[] = []): Promise<void> {
+    for (const file of files) this.remembered.set(file.path, file);
+    await this.parts.journal.note(files, forgotten);
+  }
+
+  private written(
+    planned: PlannedFile,
+    state: JournalFile["state"],
+    uploadId: string | null = null,
+    sha256: string | null = null,
+  ): JournalFile {
+    const { sizeBytes, modifiedMs } = planned.identity;
+    return { id: this.head.id, path: planned.path, sizeBytes, modifiedMs, state, uploadId, sha256 };
+  }
+}
