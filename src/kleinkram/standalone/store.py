@@ -1,6 +1,6 @@
 """Life-cycle of a private S3 store: SeaweedFS's `weed mini`, on loopback, with one identity and no services but S3.
 
-Nothing of it ever listens beyond loopback: other machines come in through `door`. To whoever finds its other ports (every
+Nothing of it ever listens beyond loopback: other machines come in through `door`. To whoever finds its other ports (any
 page that a browser on this machine shows can look for them) master and filer have nothing to say by HTTP, and volumes
 take words signed by a key that is made anew at each start, but for being read. The ports of gRPC, which no page speaks,
 ask for nothing: who has an account on this machine is trusted as far as that. Ready means: bytes written came back.
@@ -122,7 +122,7 @@ def _write_identities(store: StoreFolder) -> Path:
 
 
 def _group(store: StoreFolder) -> str:
-    """Return what the names of this store's collections begin with: the same at every start, and nobody's guess."""
+    """Return what the names of this store's collections begin with, the same at every start."""
     return "g" + hashlib.sha256(f"collections of {store.secret_key}".encode()).hexdigest()[:20]
 
 

@@ -71,17 +71,23 @@ def test_the_store_gives_nothing_to_whoever_finds_its_other_ports(shared_instanc
     # Such as a page in a browser on this machine, which may ask loopback addresses whatever it likes.
     shared_instance.up()
     ports = json.loads((shared_instance.data_dir / "ports.json").read_text())
-    for method, path in (("GET", "/buckets/"), ("DELETE", "/buckets/kleinkram?recursive=true"), ("PUT", "/buckets/x")):
-        filer = http.client.HTTPConnection("127.0.0.1", ports["filer"], timeout=10)
-        filer.request(method, path)
-        assert filer.getresponse().status == 401
-        filer.close()
     access = _store_access(shared_instance)
     assert s3.request(access, "PUT", "/kleinkram/safe", body=b"bytes")[0] == 200
-    master = http.client.HTTPConnection("127.0.0.1", ports["master"], timeout=10)
-    master.request("GET", f"/col/delete?collection={store.BUCKET}")
-    assert master.getresponse().status == 400
-    master.close()
+    for port, method, path, status in (
+        ("filer", "GET", "/buckets/", 404),
+        ("filer", "DELETE", "/buckets/kleinkram?recursive=true", 404),
+        ("filer", "PUT", "/buckets/x", 404),
+        ("master", "GET", f"/col/delete?collection={store.BUCKET}", 404),
+        ("master", "GET", "/vol/status", 404),  # names its collections
+        ("master", "GET", "/dir/lookup?fileId=1,01637037d6", 404),  # signs what deletes an object
+        ("master", "GET", "/vol/grow?count=1", 404),
+        ("master", "POST", "/submit", 404),
+        ("volume", "DELETE", "/1,01637037d6", 401),
+    ):
+        asked = http.client.HTTPConnection("127.0.0.1", ports[port], timeout=10)
+        asked.request(method, path)
+        assert (port, path, asked.getresponse().status) == (port, path, status)
+        asked.close()
     assert s3.request(access, "GET", "/kleinkram/safe") == (200, b"bytes")
     stop_instance(DataDir(shared_instance.data_dir))
 
