@@ -10,6 +10,7 @@ export {
   mdiCheck as iconCheck,
   mdiCheckCircleOutline as iconGood,
   mdiChevronDown as iconOpen,
+  mdiChevronLeft as iconPrevious,
   mdiChevronRight as iconNext,
   mdiClose as iconClose,
   mdiCogOutline as iconAdmin,

@@ -29,7 +29,7 @@ export const MOST_ELEMENTS = 16;
 /** Fields that are offered for plotting. */
 export const MOST_FIELDS = 600;
 /** Curves in one plot. */
-export const MOST_CURVES = 8;
+export const MOST_CURVES = 6;
 /** The store must send something within this time. */
 export const STORE_PATIENCE_MS = 30_000;
 /** The worker must say something within this time. */

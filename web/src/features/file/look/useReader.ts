@@ -1,0 +1,47 @@
+// The reading worker of one file, for as long as a component lives.
+import { onScopeDispose, ref, type Ref } from "vue";
+import { api, call } from "@/api/client";
+import { toProblem } from "@/api/problem";
+import type { File } from "@/api/types";
+import { ReadFailure } from "@/recordings/failures";
+import type { ReadableFormat } from "@/recordings/protocol";
+import type { Address } from "@/recordings/ranges";
+import { RecordingReader } from "@/recordings/reader";
+import type { WorkerLike } from "@/recordings/reader";
+
+export interface FileReader {
+  readonly reader: RecordingReader;
+  /** Bytes that were fetched of the file. */
+  readonly bytesRead: Ref<number>;
+}
+
+/** Asks the server where the bytes of a file are read for a while. */
+export async function addressOf(fileId: string): Promise<Address> {
+  const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId] } }));
+  const [link] = items;
+  if (link === undefined) throw new ReadFailure("link_refused");
+  return { url: link.url, expiresAtMs: Date.parse(link.expires_at) };
+}
+
+function start(): WorkerLike {
+  return new Worker(new URL("@/recordings/worker.ts", import.meta.url), { type: "module", name: "recording" });
+}
+
+/** Returns a reader of a file of a format that can be read here. */
+export function useReader(file: File, format: ReadableFormat): FileReader {
+  const bytesRead = ref(0);
+  const reader = new RecordingReader({
+    file: { format, sizeBytes: file.size_bytes },
+    address: async () => {
+      try {
+        return await addressOf(file.id);
+      } catch (thrown) {
+        throw thrown instanceof ReadFailure ? thrown : new ReadFailure("link_refused", toProblem(thrown).code);
+      }
+    },
+    start,
+    onRead: (bytes) => (bytesRead.value = bytes),
+  });
+  onScopeDispose(() => reader.close());
+  return { reader, bytesRead };
+}
