@@ -107,7 +107,8 @@ def _right(need: Need) -> str:
 def _scopes(need: Need) -> str:
     if need.browsers:
         return "none: a browser that is signed in"
-    return "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
+    scopes = "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
+    return f"{scopes}, without limits" if need.boundless else scopes
 
 
 def _others(need: Need) -> str:

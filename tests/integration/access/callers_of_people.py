@@ -158,7 +158,7 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     "reactivate_person": (Caller(post("/people/{hermit}/reactivate"), About.server),),
     "create_token": (Caller(post("/tokens", lambda _: {"name": "another"}), About.server, is_boundless=True),),
     "list_tokens": (Caller(get("/tokens"), About.server),),
-    "revoke_token": (Caller(_revoke_token, About.server, scopes=frozenset({Scope.admin})),),
+    "revoke_token": (Caller(_revoke_token, About.server, scopes=frozenset({Scope.admin}), is_boundless=True),),
     "create_share": (Caller(post("/missions/{mission}/shares", _share), About.mission),),
     "list_shares": (Caller(get("/shares", mission_id="{mission}", limit="500"), About.mission, shows=lists("link")),),
     "revoke_share": (

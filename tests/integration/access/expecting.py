@@ -81,6 +81,8 @@ def admitted(need: Need, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if need.browsers and not carrier.is_browser:
         return Verdict.refused
+    if need.boundless and carrier.is_limited:
+        return Verdict.refused
     if need.on is On.server and (not carrier.power or carrier.is_limited):
         return Verdict.refused
     return Verdict.done

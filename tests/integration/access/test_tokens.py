@@ -191,7 +191,7 @@ def test_admins_list_and_revoke_those_of_others(api: Api) -> None:
     assert hers["id"] in {each["id"] for each in api.all("/tokens", {"person_id": ada.id})}
     assert {ada.id, bob.id} <= {each["person"]["id"] for each in api.all("/tokens", {"everybody": "true"})}
     limited = people.token(api, people.person(api, admin=True), [Scope.admin], limits=[api.project()["id"]])
-    api.as_(limited.secret).get("/tokens", {"everybody": "true"}).refused(403, "forbidden")
+    api.as_(limited.secret).get("/tokens", {"everybody": "true"}).refused(403, "scope_missing")
     api.delete(f"/tokens/{hers['id']}").ok(204)
     revoked, _ = api.events(hers["id"])
     assert (revoked["operation"], revoked["as_admin"]) == ("token.revoke", True)
@@ -244,6 +244,22 @@ def test_no_token_is_made_with_one_that_is_being_revoked(api: Api) -> None:
     revoking.result().ok(204)
     making.result().refused(401, "not_authenticated")
     assert api.sql("SELECT 1 FROM token WHERE made_by_token_id = %s AND revoked_at IS NULL", stolen.id) == []
+
+
+def test_a_token_that_is_limited_reaches_nothing_else_of_its_person(api: Api) -> None:
+    ada, project = people.person(api), api.project()
+    people.grant(api, ada, Right.delete, project_id=project["id"])
+    narrow, other = people.token(api, ada, [Scope.admin], limits=[project["id"]]), people.token(api, ada)
+    people.session(api, ada)
+    session_id = api.as_(ada.token).all("/me/sessions")[0]["id"]
+    with_it = api.as_(narrow.secret)
+    for path in ("/tokens", "/me/sessions", "/me/identities"):
+        assert "without limits" in with_it.get(path).refused(403, "scope_missing")["detail"]
+    for path in ("/me/sessions", f"/me/sessions/{session_id}", f"/tokens/{other.id}"):
+        with_it.delete(path).refused(403, "scope_missing")
+    api.as_(other.secret).get("/me").ok()
+    _made(with_it, project_ids=[project["id"]])
+    with_it.delete(f"/tokens/{narrow.id}").ok(204)
 
 
 def test_a_secret_that_was_cut_or_mistyped_can_be_told(api: Api) -> None:

@@ -24,6 +24,7 @@ class Need:
     """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
 
     `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
+    `boundless`: only by a credential without limits, since it is about all that its person has.
     """
 
     on: On
@@ -32,6 +33,7 @@ class Need:
     guests: bool = False
     runners: bool = False
     browsers: bool = False
+    boundless: bool = False
 
 
 _NAMES = frozenset({Scope.read, Scope.upload})
@@ -123,7 +125,7 @@ OPERATIONS: dict[str, Need] = {
     "restore_from_trash": Need(On.mission, Right.delete, _WRITE),
     # Tokens. Any may be ended with itself; all else about them takes the scope admin, which no robot's has.
     "create_token": Need(On.nothing, None, _ADMIN),
-    "list_tokens": Need(On.nothing, None, _ADMIN),
+    "list_tokens": Need(On.nothing, None, _ADMIN, boundless=True),
     "revoke_token": Need(On.nothing, None, _ANY),
     # Links. Who has one sees what it shows; to make one is to let others in, which takes the scope admin.
     "create_share": Need(On.mission, Right.write, _ADMIN),
@@ -146,10 +148,10 @@ OPERATIONS: dict[str, Need] = {
     "sign_out": _door(),
     # Oneself
     "get_me": Need(On.nothing, None, _ANY, runners=True),
-    "list_sessions": Need(On.nothing, None, _ADMIN),
-    "end_session": Need(On.nothing, None, _ADMIN),
-    "end_all_sessions": Need(On.nothing, None, _ADMIN),
-    "list_identities": Need(On.nothing, None, _ADMIN),
+    "list_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
+    "end_session": Need(On.nothing, None, _ADMIN, boundless=True),
+    "end_all_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
+    "list_identities": Need(On.nothing, None, _ADMIN, boundless=True),
     "create_owner_link": Need(On.server, None, _ADMIN),
     "change_password": Need(On.nothing, None, _ADMIN, browsers=True),
     "link_provider": Need(On.nothing, None, _ADMIN, browsers=True),

@@ -38,7 +38,7 @@ def admit(actor: Actor, operation: str) -> None:
         raise ScopeMissing(operation=_words(operation), scopes="a browser that is signed in")
     if need.on is On.server and not actor.is_admin:
         raise Forbidden(noun="server", operation=_words(operation), needs="an admin")
-    if need.on is On.server and actor.limits is not None:
+    if (need.boundless or need.on is On.server) and actor.limits is not None:
         raise ScopeMissing(operation=_words(operation), scopes="a credential without limits")
 
 

@@ -150,7 +150,7 @@ async def list_tokens(
 async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, made: Made = Made.ended) -> None:
     """End a token, and those that it made and they made, from the next request on; what has ended stays so.
 
-    Any token may end itself; to end another takes the scope admin.
+    Any token may end itself; to end another takes the scope admin, and no limits.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -158,6 +158,8 @@ async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, mad
     """
     if token_id != actor.token_id and Scope.admin not in actor.scopes:
         raise ScopeMissing(operation="revoke another token", scopes=Scope.admin.value)
+    if token_id != actor.token_id and actor.limits is not None:
+        raise ScopeMissing(operation="revoke another token", scopes="a credential without limits")
     row = await _row(db, actor, token_id)
     await hold_person(db, row.person_id)
     which = queries.made_from(token_id) if made is Made.ended else select(token.c.id).where(token.c.id == token_id)
