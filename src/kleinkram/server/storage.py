@@ -234,7 +234,12 @@ class Storage:
     def sign_read(self, key: str, *, path: str, expires_s: float) -> str:
         """Return where a client reads an object, whole or by ranges; a browser saves it under the file's name."""
         quoted = file_name(path).encode("ascii", "replace").decode().replace('"', "_").replace("?", "_")
-        query = {"response-content-disposition": f'attachment; filename="{quoted}"'}
+        query = {
+            "response-content-disposition": f'attachment; filename="{quoted}"',
+            # Not what the uploader said: a browser would unpack what is said to be packed, and save other bytes.
+            "response-content-encoding": "identity",
+            "response-content-type": "application/octet-stream",
+        }
         return self._signers.public.sign("GET", key, query=query, headers={}, expires_s=expires_s)
 
     def sign_internal_read(self, key: str, *, expires_s: float) -> str:

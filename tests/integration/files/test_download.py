@@ -9,6 +9,7 @@ import urllib3
 from kleinkram.server.storage import open_storage
 from tests.integration.running import Api
 from tests.integration.sample import Sample
+from tests.integration.uploading import begin, complete, put, sign
 
 
 @pytest.fixture(name="mission")
@@ -37,6 +38,21 @@ def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mi
     assert [answer.data for answer in answers] == [b"second", b"first", b"second"]
     part = urllib3.request("GET", links[0]["url"], headers={"Range": "bytes=1-3"}, timeout=30)
     assert (part.status, part.data) == (206, b"eco")
+
+
+def test_what_an_uploader_says_of_its_encoding_changes_nothing_for_a_browser(api: Api, mission: str) -> None:
+    # A browser unpacks what the store calls packed, and would save other bytes than those that were proven.
+    body = b"these bytes are not packed at all"
+    (decision,) = begin(api, mission, {"a.mcap": body})
+    (signed,) = sign(api, decision["upload"], [(1, body)]).ok()["items"]
+    said = {"Content-Encoding": "gzip", "Content-Type": "text/html"}
+    assert put(signed, body, {**signed["headers"], **said}) == 200
+    file_id = complete(api, decision["upload"], body)["file"]["id"]
+    (link,) = api.post("/files/download", {"file_ids": [file_id]}).ok()["items"]
+    answer = urllib3.request("GET", link["url"], timeout=30)
+    assert answer.data == body
+    assert answer.headers["Content-Encoding"] == "identity"
+    assert answer.headers["Content-Type"] == "application/octet-stream"
 
 
 def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: str) -> None:
