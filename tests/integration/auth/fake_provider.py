@@ -124,7 +124,7 @@ def running_provider() -> Iterator[FakeProvider]:
         def _answer(self, body: dict[str, str]) -> None:
             headers = {name.lower(): value for name, value in self.headers.items()}
             status, told = provider.answer(urlsplit(self.path).path, body, headers)
-            data = json.dumps(told).encode()
+            data = told if isinstance(told, bytes) else json.dumps(told).encode()
             self.send_response(status)
             self.send_header("Content-Type", "application/json")
             self.send_header("Content-Length", str(len(data)))

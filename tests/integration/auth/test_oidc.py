@@ -259,6 +259,10 @@ def _with(**changed: Any) -> Change:
         _with(nonce="another"),
         _with(sub=None),
         _with(sub=7),
+        _with(sub=""),
+        _with(sub="a" * 256),
+        _with(sub="ada\0"),
+        _with(email="ada\0@lab.example"),
         *(_without(name) for name in ("iss", "aud", "exp", "iat", "nonce", "sub")),
     ],
 )
@@ -283,6 +287,17 @@ def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None
 
     lab.provider.answer = keys_stay  # type: ignore[method-assign]  # a provider whose token endpoint lies
     assert "nobody knows who signed" in lab.refuses("signed", **_told(any_email()))
+
+
+def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
+    lab.sign_in("deep", **_told(any_email()))
+    real = lab.provider.answer
+
+    def endless(path: str, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
+        return (200, b"[" * 100_000) if path == "/token" else real(path, body, headers)
+
+    lab.provider.answer = endless  # type: ignore[method-assign]  # a provider whose token endpoint is broken
+    assert "could not be asked who you are" in lab.refuses("deep")
 
 
 def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> None:

@@ -6,7 +6,7 @@ its keys are fetched again when a token is signed by one that is not among them.
 
 import time
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 from urllib.parse import quote_plus
 
 import httpx
@@ -17,9 +17,10 @@ from authlib.oidc.core.claims import CodeIDToken
 from joserfc import jwt
 from joserfc.errors import BadSignatureError, InvalidKeyIdError, JoseError
 from joserfc.jwk import KeySet
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from kleinkram.contract.errors import ProviderUnavailable, SignInRefused
+from kleinkram.contract.names import check_text
 from kleinkram.server.auth.providers import Challenge, Vouched
 from kleinkram.server.settings import OidcProvider
 
@@ -55,8 +56,9 @@ class Discovered(BaseModel):
 class _Claims(BaseModel):
     """Of the claims, those that are used. Source: OpenID Connect Core 1.0, sections 2 and 5.1."""
 
-    sub: str
-    email: str | None = None
+    # Kept as they are, so only what a database keeps; of this length at most by the standard's word.
+    sub: Annotated[str, Field(min_length=1, max_length=255), AfterValidator(check_text)]
+    email: Annotated[str, AfterValidator(check_text)] | None = None
     # Some providers write it as text.
     email_verified: bool | str | None = None
     name: str | None = None
@@ -231,5 +233,5 @@ class OpenIdProvider:
 def _json(answer: httpx.Response) -> Any:
     try:
         return answer.json()
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
