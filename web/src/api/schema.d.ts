@@ -885,6 +885,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/missions/{mission_id}/timeline": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Mission Timeline
+         * @description Return when each file of a mission was recorded, by path: enough to draw all of them on one axis of time.
+         */
+        get: operations["get_mission_timeline"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions/{mission_id}/uploads": {
         parameters: {
             query?: never;
@@ -2664,6 +2684,22 @@ export interface components {
             yaml: string;
         };
         /**
+         * MissionTimeline
+         * @description Files of a mission, by path; `next` is the cursor of those that follow, or null.
+         *
+         *     `start_ns` and `end_ns` span the mission (log clock, since 1970, UTC), without recordings from before 1990.
+         */
+        MissionTimeline: {
+            /** End Ns */
+            end_ns: number | null;
+            /** Items */
+            items: components["schemas"]["TimelineFile"][];
+            /** Next */
+            next?: string | null;
+            /** Start Ns */
+            start_ns: number | null;
+        };
+        /**
          * MissionUpdate
          * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
          *
@@ -3469,6 +3505,29 @@ export interface components {
             size_bytes: number;
             /** Topics */
             topics?: number | null;
+        };
+        /**
+         * TimelineFile
+         * @description When one file was recorded; `start_ns` and `end_ns` are null where it has no times, or nobody read it yet.
+         */
+        TimelineFile: {
+            content: components["schemas"]["ContentState"];
+            /** End Ns */
+            end_ns: number | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Path */
+            path: string;
+            /** Recording Id */
+            recording_id: string | null;
+            /** Size Bytes */
+            size_bytes: number;
+            /** Start Ns */
+            start_ns: number | null;
+            state: components["schemas"]["BlobState"];
         };
         /**
          * TokenCreate
@@ -8376,6 +8435,85 @@ export interface operations {
                 };
             };
             /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_mission_timeline: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionTimeline"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
             422: {
                 headers: {
                     [name: string]: unknown;

@@ -1,6 +1,7 @@
 // How one goes from view to view: who is not signed in signs in first and comes back; the heading gets the focus.
 import type { QueryClient } from "@tanstack/vue-query";
 import { createRouter, createWebHistory, type Router } from "vue-router";
+import { followLeaving } from "./query";
 import { routes } from "./routes";
 import { toProblem } from "@/api/problem";
 import { meQuery } from "@/api/session";
@@ -30,6 +31,7 @@ export function openRouter(queries: QueryClient): Router {
       return to.path === from.path ? false : { top: 0 };
     },
   });
+  followLeaving(router);
   router.beforeEach(async (to) => {
     if (to.meta.guests === true || (await isSomebodyHere(queries))) return true;
     globalThis.location.assign(signInAddress(to.fullPath));

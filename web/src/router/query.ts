@@ -4,7 +4,18 @@ import { type LocationQueryRaw, type Router, useRoute, useRouter } from "vue-rou
 
 export type Way = "push" | "replace";
 
+let isLeaving = false;
 let pending: { readonly query: LocationQueryRaw; readonly way: Way; readonly path: string } | null = null;
+
+/** Follows where a router goes, so that a late change of a view's address does not call one back who is leaving it. */
+export function followLeaving(router: Router): void {
+  router.beforeEach((to, from) => {
+    isLeaving = to.path !== from.path;
+  });
+  router.afterEach(() => {
+    isLeaving = false;
+  });
+}
 
 /** Changes one part of the address; changes of several parts at once become one step. */
 function change(router: Router, name: string, value: string | readonly string[] | undefined, way: Way): void {
@@ -17,11 +28,11 @@ function change(router: Router, name: string, value: string | readonly string[] 
     path: before.path,
   };
   if (!isFirst) return;
-  queueMicrotask(() => {
+  setTimeout(() => {
     const wanted = pending;
     pending = null;
     const route = router.currentRoute.value;
-    if (wanted === null || wanted.path !== route.path) return; // one has left the page meanwhile
+    if (wanted === null || isLeaving || wanted.path !== route.path) return;
     void router[wanted.way]({ path: route.path, query: wanted.query, hash: route.hash });
   });
 }

@@ -1,0 +1,64 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import { api, call } from "./client";
+import { Problem } from "./problem";
+import { isAskingToSignIn, noteSignedIn, settle, signInAddress } from "./signing-in";
+
+const ENDED = { type: "x", title: "x", status: 401, detail: "The session has ended.", code: "not_authenticated" };
+const fetched = vi.fn<(request: Request) => Promise<Response>>();
+
+function json(status: number, body: unknown): Response {
+  return new Response(JSON.stringify(body), { status, headers: { "Content-Type": "application/json" } });
+}
+
+beforeEach(() => vi.stubGlobal("fetch", fetched));
+afterEach(() => {
+  noteSignedIn(false);
+  settle(false);
+  fetched.mockReset();
+  vi.unstubAllGlobals();
+});
+
+function make(): Promise<unknown> {
+  return call(api.POST("/api/v1/projects", { body: { name: "Alps", description: "" } }));
+}
+
+describe("a session that ends while somebody works", () => {
+  it("holds what was asked until they signed in again, then asks it anew, whole", async () => {
+    noteSignedIn(true);
+    const bodies: string[] = [];
+    fetched.mockImplementation(async (request) => {
+      bodies.push(await request.text());
+      return bodies.length === 1 ? json(401, ENDED) : json(201, { id: "1" });
+    });
+    const made = make();
+    await vi.waitFor(() => expect(isAskingToSignIn.value).toBe(true));
+    settle(true);
+    expect(await made).toEqual({ id: "1" });
+    expect(bodies[1]).toBe(bodies[0]);
+    expect(JSON.parse(bodies[1] ?? "")).toEqual({ name: "Alps", description: "" });
+    expect(isAskingToSignIn.value).toBe(false);
+  });
+  it("fails what was asked where they decline", async () => {
+    noteSignedIn(true);
+    fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
+    const made = make();
+    await vi.waitFor(() => expect(isAskingToSignIn.value).toBe(true));
+    settle(false);
+    await expect(made).rejects.toMatchObject({ code: "not_authenticated" });
+  });
+});
+
+it("does not ask a stranger to sign in again", async () => {
+  fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
+  await expect(make()).rejects.toBeInstanceOf(Problem);
+  expect(isAskingToSignIn.value).toBe(false);
+});
+
+it("says so where nothing answers", async () => {
+  fetched.mockRejectedValue(new TypeError("Failed to fetch"));
+  await expect(make()).rejects.toMatchObject({ code: "unreachable" });
+});
+
+it("comes back from signing in to where one was", () => {
+  expect(signInAddress("/missions/1?tab=topics&x=a b")).toBe("/sign-in?return_to=%2Fmissions%2F1%3Ftab%3Dtopics%26x%3Da+b");
+});

@@ -1,0 +1,106 @@
+// Metadata in forms: what each field of a project takes, judged as the server judges it, while somebody still types.
+// The server has the last word; what cannot be judged here (a pattern in Rust's words) is left to it.
+import type { FieldProblem } from "@/api/problem";
+import type { MetadataField, MetadataFields } from "@/api/types";
+import { texts } from "@/texts/metadata";
+
+export type Values = Readonly<Record<string, unknown>>;
+
+export interface Place {
+  readonly latitude?: number | null;
+  readonly longitude?: number | null;
+  readonly altitude?: number | null;
+  readonly name?: string | null;
+}
+
+type Judge = (value: unknown, field: MetadataField) => string | null;
+
+const DATE = /^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}(\.\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?)?$/i;
+
+/** Says whether a field was left empty. */
+export function isEmpty(value: unknown): boolean {
+  return value === undefined || value === null || value === "";
+}
+
+function judgeText(value: unknown, field: MetadataField): string | null {
+  if (typeof value !== "string") return texts.wantsText;
+  if (typeof field.pattern !== "string") return null;
+  try {
+    return new RegExp(`^(?:${field.pattern})$`, "u").test(value) ? null : texts.wantsPattern(field.pattern);
+  } catch (thrown) {
+    if (thrown instanceof SyntaxError) return null; // Rust's words, not ours: the server judges
+    throw thrown;
+  }
+}
+
+function judgeDate(value: unknown): string | null {
+  const isDate = typeof value === "string" && DATE.test(value.trim()) && !Number.isNaN(Date.parse(value.trim().slice(0, 10)));
+  return isDate ? null : texts.wantsDate;
+}
+
+function judgeLink(value: unknown): string | null {
+  const isLink = typeof value === "string" && /^https?:\/\//i.test(value) && URL.canParse(value);
+  return isLink ? null : texts.wantsLink;
+}
+
+function judgePlace(value: unknown): string | null {
+  if (typeof value === "string") return null;
+  if (typeof value !== "object" || value === null) return texts.wantsPlace;
+  const { latitude, longitude } = value as Place;
+  if (typeof latitude !== "number" || Math.abs(latitude) > 90) return texts.wantsLatitude;
+  return typeof longitude !== "number" || Math.abs(longitude) > 180 ? texts.wantsLongitude : null;
+}
+
+const JUDGES: Readonly<Record<MetadataField["type"], Judge>> = {
+  string: judgeText,
+  number: (value, field) => (typeof value === "number" && Number.isFinite(value) ? null : texts.wantsNumber(field.unit ?? "")),
+  boolean: (value) => (typeof value === "boolean" ? null : texts.wantsBoolean),
+  date: judgeDate,
+  link: judgeLink,
+  location: judgePlace,
+  choice: (value, field) => ((field.choices ?? []).some((each) => each === value) ? null : texts.wantsChoice),
+};
+
+/** Returns what is wrong with the value of one field; null where nothing is. */
+export function judgeField(field: MetadataField, value: unknown): string | null {
+  if (!isEmpty(value)) return JUDGES[field.type](value, field);
+  return field.required && isEmpty(field.default) ? texts.required : null;
+}
+
+/** Returns all that is wrong with a form. */
+export function judge(fields: MetadataFields, values: Values): FieldProblem[] {
+  return fields.fields.flatMap((field) => {
+    const message = judgeField(field, values[field.name]);
+    return message === null ? [] : [{ field: field.name, message }];
+  });
+}
+
+/** Returns the names of the values that no field declares, in their order. */
+export function undeclared(fields: MetadataFields, values: Values): string[] {
+  const declared = new Set(fields.fields.map((field) => field.name));
+  return Object.keys(values).filter((name) => !declared.has(name));
+}
+
+/** Returns what to send to change one set of values into another: what differs, and null for what is to go. */
+export function changes(before: Values, after: Values): Record<string, unknown> {
+  const told: Record<string, unknown> = {};
+  for (const name of new Set([...Object.keys(before), ...Object.keys(after)])) {
+    const [was, is] = [before[name], after[name]];
+    if (isEmpty(is)) {
+      if (!isEmpty(was)) told[name] = null;
+    } else if (JSON.stringify(was) !== JSON.stringify(is)) told[name] = is;
+  }
+  return told;
+}
+
+/** Returns a value as it is read: a place by its name or its degrees, lists and mappings as JSON. */
+export function shownValue(value: unknown, unit?: string | null): string {
+  if (isEmpty(value)) return texts.empty;
+  if (typeof value === "boolean") return value ? texts.yes : texts.no;
+  if (typeof value === "number") return unit ? `${value} ${unit}` : String(value);
+  if (typeof value === "string") return value;
+  const place = value as Place;
+  if (typeof place.latitude !== "number" || typeof place.longitude !== "number") return JSON.stringify(value);
+  const degrees = texts.degrees(place.latitude, place.longitude);
+  return place.name ? `${place.name} (${degrees})` : degrees;
+}

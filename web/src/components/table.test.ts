@@ -1,0 +1,51 @@
+import { describe, expect, it } from "vitest";
+import { afterClick, columnsFor, nextSort, rowAfter, sortedAs, tracks } from "./table";
+
+const columns = [
+  { key: "name", title: "Name", sort: "name" },
+  { key: "size", title: "Size", from: "tablet" as const, width: "100px" },
+  { key: "by", title: "By", from: "desktop" as const },
+];
+
+describe("columns", () => {
+  it("leaves out what there is no room for", () => {
+    expect(columnsFor(columns, 360).map((each) => each.key)).toEqual(["name"]);
+    expect(columnsFor(columns, 700).map((each) => each.key)).toEqual(["name", "size"]);
+    expect(columnsFor(columns, 1200)).toHaveLength(3);
+  });
+  it("has a track for each, and one for the boxes", () => {
+    expect(tracks(columnsFor(columns, 700), true)).toBe("36px minmax(0, 1fr) 100px");
+  });
+});
+
+describe("orders", () => {
+  it("turns round at the second click", () => {
+    expect(nextSort("", "name")).toBe("name");
+    expect(nextSort("name", "name")).toBe("-name");
+    expect(nextSort("-name", "name")).toBe("name");
+  });
+  it("is told to those who hear it", () => {
+    expect(sortedAs("-name", "name")).toBe("descending");
+    expect(sortedAs("name", "size")).toBe("none");
+    expect(sortedAs("name", undefined)).toBeUndefined();
+  });
+});
+
+describe("going from row to row", () => {
+  it.each([
+    ["ArrowDown", 0, 1], ["ArrowUp", 0, 0], ["End", 3, 99], ["Home", 50, 0], ["PageDown", 95, 99], ["a", 3, null],
+  ] as const)("%s from %d", (key, active, wanted) => expect(rowAfter(key, active, 100, 10)).toBe(wanted));
+  it("leads nowhere without rows", () => expect(rowAfter("End", 0, 0, 10)).toBeNull());
+});
+
+describe("choosing rows", () => {
+  const keys = ["a", "b", "c", "d"];
+  it("adds and takes away", () => {
+    expect([...afterClick(new Set(), keys, 1, null)]).toEqual(["b"]);
+    expect([...afterClick(new Set(["b"]), keys, 1, null)]).toEqual([]);
+  });
+  it("takes all between two clicks, in either direction", () => {
+    expect([...afterClick(new Set(["a"]), keys, 2, 0)].sort()).toEqual(["a", "b", "c"]);
+    expect([...afterClick(new Set(["d"]), keys, 1, 3)].sort()).toEqual(["b", "c", "d"]);
+  });
+});

@@ -1,0 +1,21 @@
+import { describe, expect, it } from "vitest";
+import { commandsFor, matches, searchCommand } from "./commands";
+
+const ADMIN = { isSignedIn: true, isAdmin: true };
+
+describe("the palette", () => {
+  it("finds by letters in their order", () => {
+    expect(matches("Projects", "pjc")).toBe(true);
+    expect(matches("Projects", "cjp")).toBe(false);
+    expect(matches("Public projects", "pub pro")).toBe(true);
+  });
+  it("offers what one may go to", () => {
+    expect(commandsFor("", ADMIN).map((each) => each.label)).toContain("Admin");
+    expect(commandsFor("", { isSignedIn: true, isAdmin: false }).map((each) => each.label)).not.toContain("Admin");
+    expect(commandsFor("", { isSignedIn: false, isAdmin: false }).map((each) => each.label)).toEqual(["Public projects", "Search"]);
+  });
+  it("acts, too", () => expect(commandsFor("dark", ADMIN).map((each) => each.id)).toEqual(["theme dark"]));
+  it("searches for whatever was typed", () => {
+    expect(searchCommand("a & b")).toMatchObject({ to: { name: "search", query: { q: "a & b" } } });
+  });
+});
