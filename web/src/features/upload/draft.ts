@@ -1,0 +1,79 @@
+// What was chosen and is not begun yet; kept outside of any view, so that a look at another page loses nothing.
+import { shallowReactive } from "vue";
+import { chosen, entriesOf, walk } from "./engine/entries";
+import type { Found, LeftOut, UploadPlan } from "./engine/nouns";
+import { planUpload } from "./engine/plan";
+
+export type Layout = "tree" | "contents";
+
+export interface Draft {
+  plan: UploadPlan | null;
+  layout: Layout;
+  /** What was chosen: names of folders, or of files. */
+  roots: readonly string[];
+  isLooking: boolean;
+  /** How many files were found so far. */
+  seen: number;
+  isEmpty: boolean;
+}
+
+const BEGINNING: Draft = { plan: null, layout: "tree", roots: [], isLooking: false, seen: 0, isEmpty: false };
+const watch = {
+  now: () => Date.now(),
+  wait: (milliseconds: number) => new Promise<void>((resolve) => setTimeout(resolve, milliseconds)),
+};
+
+interface Chosen {
+  readonly found: readonly Found[];
+  readonly unreadable: readonly string[];
+}
+
+export interface OpenDraft extends Draft {
+  /** Take files that were chosen. */
+  take(files: Iterable<File>): Promise<void>;
+  /** Take what was dropped; called while the drop is being handled. */
+  drop(transfer: DataTransfer): Promise<void>;
+  /** Plan anew with other paths. */
+  arrange(layout: Layout): Promise<void>;
+  clear(): void;
+}
+
+/** Return a draft; each place where one chooses files has its own. */
+export function openDraft(): OpenDraft {
+  let all: Chosen = { found: [], unreadable: [] };
+
+  async function plan(): Promise<void> {
+    const areInFolders = all.found.every(({ path }) => path.includes("/"));
+    const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch });
+    const unreadable = all.unreadable.map((path): LeftOut => ({ path, reason: "unreadable", detail: "" }));
+    const leftOut = [...planned.leftOut, ...unreadable];
+    const isEmpty = planned.files.length === 0 && leftOut.length === 0;
+    Object.assign(made, { plan: isEmpty ? null : { ...planned, leftOut }, isLooking: false, isEmpty });
+  }
+
+  async function take(found: readonly Found[], unreadable: readonly string[] = []): Promise<void> {
+    all = { found, unreadable };
+    const roots = [...new Set(found.map(({ path }) => path.split("/", 1)[0] ?? path))];
+    Object.assign(made, { isLooking: true, seen: found.length, roots });
+    await plan();
+  }
+
+  const made: OpenDraft = shallowReactive({
+    ...BEGINNING,
+    take: (files: Iterable<File>) => take(chosen(files)),
+    drop: async (transfer: DataTransfer) => {
+      const entries = entriesOf(transfer);
+      Object.assign(made, { isLooking: true, seen: 0 });
+      const { found, unreadable } = await walk(entries, (count) => (made.seen = count));
+      await take(found, unreadable);
+    },
+    arrange: async (layout: Layout) => {
+      made.layout = layout;
+      await plan();
+    },
+    clear: () => void Object.assign(made, BEGINNING),
+  });
+  return made;
+}
+
+export const draft = openDraft();

@@ -1,0 +1,82 @@
+// What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
+import { type Ref, shallowRef } from "vue";
+import type { JournalFile, JournalHead, Journal } from "./engine/journal";
+import type { PlannedFile } from "./engine/nouns";
+
+/** An upload that did not come to its end. */
+export interface Unfinished {
+  readonly head: JournalHead;
+  readonly left: readonly JournalFile[];
+  readonly doneCount: number;
+  readonly leftBytes: number;
+}
+
+/** How files chosen anew fit what was unfinished. */
+export interface Fit {
+  /** As they were, or not begun then. */
+  readonly same: number;
+  /** Another size or time than when they were chosen: they are read and sent anew where they differ. */
+  readonly changed: readonly string[];
+  /** Unfinished, and not among what was chosen now. */
+  readonly missing: readonly string[];
+}
+
+export function summarised(head: JournalHead, files: readonly JournalFile[]): Unfinished {
+  const left = files.filter((file) => file.state !== "done");
+  const leftBytes = left.reduce((sum, file) => sum + file.sizeBytes, 0);
+  return { head, left, doneCount: files.length - left.length, leftBytes };
+}
+
+export function fitOf(unfinished: Unfinished, files: readonly PlannedFile[]): Fit {
+  const chosen = new Map(files.map((file) => [file.path, file.identity]));
+  const changed: string[] = [];
+  const missing: string[] = [];
+  for (const { path, sizeBytes, modifiedMs } of unfinished.left) {
+    const now = chosen.get(path);
+    if (now === undefined) missing.push(path);
+    else if (now.sizeBytes !== sizeBytes || now.modifiedMs !== modifiedMs) changed.push(path);
+  }
+  return { same: unfinished.left.length - changed.length - missing.length, changed, missing };
+}
+
+let opening: Promise<Journal | null> | null = null;
+
+/** Return the journal; null where this browser keeps nothing for the page. */
+function journal(): Promise<Journal | null> {
+  opening ??= import("./engine/indexeddb").then(({ openJournal }) => openJournal()).catch(() => null);
+  return opening;
+}
+
+export interface UnfinishedUploads {
+  readonly all: Ref<readonly Unfinished[]>;
+  /** False where a reload would lose what is under way. */
+  readonly isKept: Ref<boolean>;
+  look(personId: string): Promise<void>;
+  forget(unfinished: Unfinished): Promise<void>;
+}
+
+export function useUnfinished(): UnfinishedUploads {
+  const all = shallowRef<readonly Unfinished[]>([]);
+  const isKept = shallowRef(true);
+
+  async function look(personId: string): Promise<void> {
+    const kept = await journal();
+    isKept.value = kept !== null;
+    if (kept === null) return;
+    const found: Unfinished[] = [];
+    for (const head of await kept.heads(personId)) found.push(summarised(head, await kept.files(head.id)));
+    all.value = found.filter(({ left }) => left.length > 0);
+  }
+
+  async function forget({ head, left }: Unfinished): Promise<void> {
+    const kept = await journal();
+    await kept?.drop(head.id);
+    all.value = all.value.filter((each) => each.head.id !== head.id);
+    const { httpApi } = await import("./engine/http");
+    const api = httpApi(globalThis.location.origin);
+    // Names are free at once; what this cannot say runs out by itself.
+    for (const { uploadId } of left) if (uploadId !== null) await api.abort(uploadId);
+  }
+
+  return { all, isKept, look, forget };
+}
