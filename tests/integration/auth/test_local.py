@@ -118,6 +118,41 @@ def test_a_reset_link_chooses_a_new_password_and_signs_all_browsers_out(api: Api
     assert {"password.reset_link", "password.reset"} <= {event["operation"] for event in api.events(made.id)}
 
 
+def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: Api) -> None:
+    made, project = account(api), api.project()
+    people.grant(
+        api,
+        api.sql("SELECT id FROM access_group WHERE person_id = %s", made.id)[0][0],
+        Right.create,
+        project_id=project["id"],
+    )
+    wanted = {"laptop": {"scopes": ["admin"]}, "anymal": {"kind": "robot", "project_ids": [project["id"]]}}
+    secrets = [made.browser.post("/tokens", {"name": name, **rest}).ok(201)["secret"] for name, rest in wanted.items()]
+    laptop, robot = (api.as_(secret) for secret in secrets)
+    passwords = {"old_password": PASSWORD, "new_password": "a third one, longer"}
+    made.browser.post("/auth/password/change", passwords).ok(204)
+    laptop.get("/me").ok()
+    reset = {"code": code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"]), "password": OTHER_PASSWORD}
+    Browser(api).post("/auth/reset", reset).ok()
+    laptop.get("/me").refused(401, "not_authenticated")
+    robot.get("/projects").ok()
+    told = next(event["after"] for event in api.events(made.id) if event["operation"] == "password.reset")
+    assert told["tokens"] == 1
+
+
+def test_one_time_links_do_not_survive_leaving_and_coming_back(api: Api) -> None:
+    made, leaving = account(api), people.person(api, admin=True)
+    reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
+    invited = {"email": any_email()}
+    invitation = code_of(api.as_(leaving.token).post("/people/invitations", invited).ok(201)["url"])
+    for who in (made, leaving):
+        api.post(f"/people/{who.id}/deactivate").ok()
+        api.post(f"/people/{who.id}/reactivate").ok()
+    for code in (reset, invitation):
+        Browser(api).post("/auth/codes", {"code": code}).refused(410, "code_gone")
+    Browser(api).post("/auth/reset", {"code": reset, "password": OTHER_PASSWORD}).refused(410, "code_gone")
+
+
 @pytest.mark.parametrize("how", ["deactivate", "dismiss"])
 def test_links_end_with_the_power_of_the_admin_who_made_them(api: Api, how: str) -> None:
     leaving, victim = people.person(api, admin=True), account(api)

@@ -84,6 +84,12 @@ async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> Row[Any
     return row
 
 
+async def end_codes(db: Connection, person_id: uuid.UUID) -> None:
+    """End the codes that are for somebody and those that they handed out, for good."""
+    theirs = (one_time_code.c.person_id == person_id) | (one_time_code.c.created_by_id == person_id)
+    await db.execute(update(one_time_code).where(theirs, one_time_code.c.used_at.is_(None)).values(used_at=func.now()))
+
+
 async def look_at_code(db: Connection, secret: str) -> CodeRead:
     """Return for whom a code is, without using it up.
 

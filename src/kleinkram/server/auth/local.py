@@ -16,6 +16,7 @@ from kleinkram.contract.errors import Forbidden, NameTaken, NotFound, SignInFail
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
+from kleinkram.server.access.rights import hold_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.codes import CodeWanted, make_code, use_code
 from kleinkram.server.auth.passwords import Passwords, refuse_obvious
@@ -24,6 +25,7 @@ from kleinkram.server.db import Connection, Database
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tokens.service import end_personal_tokens
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,9 @@ async def make_reset(db: Connection, actor: Actor, *, person_id: uuid.UUID, sett
 
 
 async def reset_password(db: Connection, asker: Actor, *, reset: PasswordReset, hashed: str) -> uuid.UUID:
-    """Take a new password by an admin's link and sign out all browsers; returns whose it is.
+    """Take a new password by an admin's link; returns whose it is.
+
+    Whoever had the account until now is out of it: all browsers are signed out, and all personal tokens end.
 
     Raises:
         CodeGone: the link is not good any more.
@@ -172,9 +176,10 @@ async def reset_password(db: Connection, asker: Actor, *, reset: PasswordReset, 
     if whose is None:
         raise SignInRefused(reason="this account was deactivated. An admin of this server can say why.")
     actor = whose.asking(asker.operation or "", request_id=asker.request_id, address=asker.address)
+    await hold_person(db, person_id)
     await _keep_password(db, person_id, name=whose.name, new=reset.password, hashed=hashed, field="password")
-    await end_sessions(db, actor)
-    await record(db, actor, Event("password.reset", "person", person_id, whose.name, None))
+    ended: Metadata = {"sessions": await end_sessions(db, actor), "tokens": await end_personal_tokens(db, actor)}
+    await record(db, actor, Event("password.reset", "person", person_id, whose.name, None, after=ended))
     return person_id
 
 

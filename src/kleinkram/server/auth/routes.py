@@ -87,7 +87,10 @@ async def accept_invitation(accepted: InvitationAccept, door: CurrentDoor, respo
 
 @router.post("/reset", operation_id="reset_password", dependencies=_FROM_OUR_PAGE)
 async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Response) -> BrowserSignedIn:
-    """Choose a new password by an admin's link; all other browsers are signed out."""
+    """Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+
+    Those of robots and runners stay.
+    """
     door.see_that_passwords_are_taken()
     await door.count_try()
     hashed = await door.hash(reset.password, code=reset.code)

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import Row, Select, func, literal, select, union_all
+from sqlalchemy import Row, Select, exists, func, literal, select, union_all
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
@@ -13,7 +13,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.db import among
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import mission, person, project, token, token_limit
+from kleinkram.server.tables import audit_event, mission, person, project, token, token_limit
 
 # Latest first.
 TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
@@ -31,6 +31,20 @@ def made_from(token_id: uuid.UUID) -> Select[Any]:
     line = select(token.c.id).where(token.c.id == token_id).cte("line", recursive=True)
     line = line.union(select(token.c.id).join(line, token.c.made_by_token_id == line.c.id))
     return select(line.c.id)
+
+
+def carried_by(person_id: uuid.UUID | None) -> Select[Any]:
+    """Return the ids of the tokens that stand for somebody as a person and that were made in their name.
+
+    That of the owner of `klein up` is the server's: it made that by itself, as the record says, and keeps it in a file.
+    """
+    by_somebody = exists().where(
+        audit_event.c.noun_id == token.c.id,
+        audit_event.c.operation == "token.create",
+        audit_event.c.actor_id.is_not(None),
+    )
+    mine = (token.c.person_id == person_id) & (token.c.kind == TokenKind.personal.value)
+    return select(token.c.id).where(mine, by_somebody)
 
 
 def still_usable(stmt: Select[Any]) -> Select[Any]:

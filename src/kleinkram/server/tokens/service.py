@@ -175,6 +175,22 @@ async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, mad
     await record_all(db, actor, events)
 
 
+async def end_personal_tokens(db: Connection, actor: Actor) -> int:
+    """End all that stands for a person as themselves, such as by `klein login`, and return how many that were.
+
+    Those of robots and runners stay, so that these do not stop.
+    """
+    mine = token.c.id.in_(queries.carried_by(actor.person_id)) & token.c.revoked_at.is_(None)
+    stmt = update(token).where(mine).values(revoked_at=func.now())
+    ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
+    events = [
+        Event("token.revoke", "token", each.id, each.name, None, after={"prefix": each.prefix, "person": actor.name})
+        for each in ended
+    ]
+    await record_all(db, actor, events)
+    return len(ended)
+
+
 def _sees_others(actor: Actor) -> bool:
     return actor.is_admin and actor.limits is None
 
