@@ -1,5 +1,6 @@
 """`klein audit`"""
 
+import json
 from collections.abc import Iterable
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption
-from kleinkram.cli.render import line, show_json_list, table
+from kleinkram.cli.render import line, plain, show_json_list, table
 from kleinkram.cli.units import parse_time
 from kleinkram.client import Client
 from kleinkram.client.checking import checked
@@ -53,7 +54,7 @@ def audit(
         matching = checked(AuditFilter, "The filter", **{key: value for key, value in given.items() if value})
         if jsonl:
             for event in client.audit.export(matching):
-                line(event.model_dump_json())
+                line(json.dumps(plain(event)))
             return
         rows = [*client.audit.list(matching, limit=limit or _SHOWN)]
     if as_json:

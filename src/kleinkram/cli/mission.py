@@ -154,7 +154,8 @@ def template(
         return
     if form.prefilled_from is not None:
         note(f"Prefilled from {form.prefilled_from.name}.")
-    line(form.yaml.rstrip("\n"))
+    for each in form.yaml.rstrip("\n").split("\n"):
+        line(each)
 
 
 @app.command("delete")

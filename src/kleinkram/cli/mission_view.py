@@ -41,13 +41,16 @@ def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
         return
     show_mission(mission)
     if recordings:
-        line("\nRecordings")
+        line("")
+        line("Recordings")
         show_recordings(recordings)
     if files:
-        line("\nFiles")
+        line("")
+        line("Files")
         show_files(files)
     if topics:
-        line("\nTopics")
+        line("")
+        line("Topics")
         show_topics(topics, {str(file.id): file.path for file in files})
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli.errors import Refused
+from kleinkram.cli.render import escape
 from kleinkram.client.errors import InvalidInput
 
 ProjectOption = Annotated[
@@ -73,7 +74,7 @@ def confirm(question: str, yes: bool) -> None:
     if yes:
         return
     try:
-        agreed = typer.confirm(question, err=True)
+        agreed = typer.confirm(escape(question), err=True)
     except typer.Abort:
         raise Refused from None
     if not agreed:

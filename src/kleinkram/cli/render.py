@@ -29,13 +29,13 @@ def _escaped(character: str) -> str:
 
 
 def note(text: str) -> None:
-    """Print a line to stderr."""
-    typer.echo(text, err=True)
+    """Print a line to stderr, escaped: who writes it need not think of what a name in it may hold."""
+    typer.echo(escape(text), err=True)
 
 
 def line(text: str) -> None:
-    """Print a line of data to stdout."""
-    typer.echo(text)
+    """Print a line of data to stdout, escaped likewise."""
+    typer.echo(escape(text))
 
 
 def show_json(value: BaseModel | Mapping[str, object]) -> None:

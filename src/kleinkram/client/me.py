@@ -53,4 +53,4 @@ class Me:
         Raises:
             Forbidden: the token in use is not the owner's.
         """
-        return OneTimeLink.model_validate_json(self._api.post_empty("/auth/owner-link"))
+        return self._api.understood(OneTimeLink, "POST /auth/owner-link", self._api.post_empty("/auth/owner-link"))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.cli.render import details, escape, show_json, table
+from kleinkram.cli.render import details, escape, line, note, show_json, table
 from kleinkram.client.transfer import Outcome
 
 
@@ -20,6 +20,13 @@ from kleinkram.client.transfer import Outcome
 )
 def test_what_a_terminal_could_obey_is_escaped(hostile: str, shown: str) -> None:
     assert escape(hostile) == shown
+
+
+def test_whatever_is_printed_is_escaped_once(capsys: pytest.CaptureFixture[str]) -> None:
+    line("a\x1b]52;c;eA==\x07")
+    note("Moved " + escape("b\u202e") + " and c\r")
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("a\\x1b]52;c;eA==\\x07\n", "Moved b\\u202e and c\\x0d\n")
 
 
 def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.CaptureFixture[str]) -> None:
