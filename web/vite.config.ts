@@ -12,9 +12,8 @@ export default defineConfig({
   plugins: [vue({ template: { transformAssetUrls } }), quasar({ sassVariables: false }), fonts()],
   resolve: { alias: { "@": fileURLToPath(new URL("./src", import.meta.url)) } },
   build: {
-    outDir: "../src/kleinkram/server/web/built",
-    emptyOutDir: true,
     target: "es2022",
+    rolldownOptions: { checks: { bundlerTimings: false } }, // how long a busy machine took is no warning
     assetsInlineLimit: 0, // what is inlined as data: the content security policy refuses
     modulePreload: { polyfill: false },
     license: { fileName: "licences.md" },
