@@ -105,6 +105,24 @@ def test_addresses_show_to_admins_and_to_editors_of_a_shared_group(api: Api, ada
     assert len(hers.get(f"/people/{ada.id}").ok()["emails"]) == 1
 
 
+def test_by_a_group_of_ones_own_nobody_learns_an_address_or_of_anybody(api: Api, ada: Person, bob: Person) -> None:
+    hers, unknown = api.as_(ada.token), person(api, email=f"{uuid.uuid4().hex}@lab.example")
+    group(api, members=[ada, bob])  # she sees him, as one among others
+    people_before = {row["id"] for row in hers.all("/people")}
+    (address,) = api.get(f"/people/{bob.id}").ok()["emails"]
+    made = hers.post("/groups", {"name": f"mine {uuid.uuid4().hex}"}).ok(201)["id"]
+    put = hers.call("PUT", f"/groups/{made}/members/{bob.id}", {}).ok()
+    hers.call("PUT", f"/groups/{made}/members/{unknown.id}", {}).refused(404, "not_found")
+    assert put["emails"] == hers.get(f"/people/{bob.id}").ok()["emails"] == []
+    assert all(row["emails"] == [] for row in hers.all(f"/groups/{made}/members") if row["person"]["id"] == bob.id)
+    assert hers.all("/people", {"text": address}) == []
+    assert {row["id"] for row in hers.all("/people")} == people_before
+    # Put there by somebody else, as whoever runs the group's list does, he shows with his address.
+    hers.delete(f"/groups/{made}/members/{bob.id}").ok(204)
+    assert api.call("PUT", f"/groups/{made}/members/{bob.id}", {}).ok()["emails"] == [address]
+    assert hers.get(f"/people/{bob.id}").ok()["emails"] == [address]
+
+
 def test_an_editor_of_one_group_is_none_of_another(api: Api, ada: Person, bob: Person) -> None:
     group(api, members=[ada, bob])
     join(api, ada, group(api), is_editor=True)

@@ -1,5 +1,7 @@
 """Local accounts: invited, signed in to, changed, reset; and nothing that tells a guest who has one."""
 
+from typing import Any
+
 import pytest
 
 from kleinkram.contract.rights import Right
@@ -126,7 +128,10 @@ def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: 
         Right.create,
         project_id=project["id"],
     )
-    wanted = {"laptop": {"scopes": ["admin"]}, "anymal": {"kind": "robot", "project_ids": [project["id"]]}}
+    wanted: dict[str, dict[str, Any]] = {
+        "laptop": {"scopes": ["admin"]},
+        "anymal": {"kind": "robot", "project_ids": [project["id"]]},
+    }
     secrets = [made.browser.post("/tokens", {"name": name, **rest}).ok(201)["secret"] for name, rest in wanted.items()]
     laptop, robot = (api.as_(secret) for secret in secrets)
     passwords = {"old_password": PASSWORD, "new_password": "a third one, longer"}

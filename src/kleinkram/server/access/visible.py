@@ -186,12 +186,18 @@ def visible_groups(actor: Actor) -> Select[Any]:
 
 
 def knows_addresses(actor: Actor) -> ColumnElement[bool]:
-    """Say of each `person` of a select whether `actor` may know their addresses: editors of a shared group, admins."""
+    """Say of each `person` of a select whether `actor` may know their addresses: editors of a shared group, admins.
+
+    Whom an editor put into the group by themselves does not count there: else whoever may make groups would learn the
+    address of everybody whom they see.
+    """
     if actor.limits is not None or actor.is_admin:
         return literal(actor.limits is None) | (person.c.id == actor.person_id)
     theirs = membership.alias("theirs")
     edited = select(theirs.c.person_id).where(
-        theirs.c.group_id == any_(_my_groups(actor, editors_only=True)), unexpired(theirs.c.expires_at)
+        theirs.c.group_id == any_(_my_groups(actor, editors_only=True)),
+        unexpired(theirs.c.expires_at),
+        theirs.c.added_by_id.is_distinct_from(actor.person_id),
     )
     return or_(person.c.id == actor.person_id, person.c.id.in_(edited))
 

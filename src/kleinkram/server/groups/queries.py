@@ -3,13 +3,13 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, and_, func, null, select
+from sqlalchemy import ColumnElement, Row, Select, and_, case, func, null, select
 
 from kleinkram.contract.groups import GroupRead, MemberRead
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
-from kleinkram.server.access.visible import visible_groups
+from kleinkram.server.access.visible import knows_addresses, visible_groups
 from kleinkram.server.pages import Order
 from kleinkram.server.search.globs import matches_key
 from kleinkram.server.tables import (
@@ -82,8 +82,11 @@ def to_group(row: Row[Any]) -> GroupRead:
     )
 
 
-def members_of(group_id: uuid.UUID, *, for_editor: bool) -> Select[Any]:
-    """Return the people in a group, as `to_member` reads them; addresses and past members only for its editors."""
+def members_of(actor: Actor, group_id: uuid.UUID, *, for_editor: bool) -> Select[Any]:
+    """Return the people in a group, as `to_member` reads them; addresses and past members only for its editors.
+
+    Of addresses they see those that they may know at all (`knows_addresses`).
+    """
     emails = select(person_email.c.email).where(
         person_email.c.person_id == person.c.id, person_email.c.verified_at.is_not(None)
     )
@@ -92,7 +95,7 @@ def members_of(group_id: uuid.UUID, *, for_editor: bool) -> Select[Any]:
         select(
             person.c.id,
             person.c.name,
-            (found if for_editor else null()).label("emails"),
+            (case((knows_addresses(actor), found), else_=null()) if for_editor else null()).label("emails"),
             is_active().label("is_active"),
             membership.c.is_editor,
             membership.c.expires_at,

@@ -130,7 +130,7 @@ async def list_members(db: Connection, actor: Actor, *, group_id: uuid.UUID, pag
         InvalidCursor: the cursor is not of this list.
     """
     seen = await get_group(db, actor, group_id)
-    stmt = queries.members_of(group_id, for_editor=actor.is_admin or seen.is_editor)
+    stmt = queries.members_of(actor, group_id, for_editor=actor.is_admin or seen.is_editor)
     rows = await fetch_page(db, stmt, queries.MEMBER_ORDER, page)
     return Page(items=[queries.to_member(row) for row in rows.items], next=rows.next, total=rows.total)
 
@@ -150,7 +150,7 @@ async def set_member(
     """
     await hold_rights(db)
     seen = await _managed(db, actor, group_id, "add members")
-    old = await _member(db, group_id, person_id)
+    old = await _member(db, actor, group_id, person_id)
     name = old.name if old is not None else await _name_of(db, actor, person_id)
     if seen.kind is GroupKind.affiliation and (old is None or wanted.expires_at is not None):
         raise GroupFixed(name=seen.name, reason="who is in it, and until when, follows from verified addresses")
@@ -167,7 +167,7 @@ async def set_member(
         await db.execute(put.on_conflict_do_update(index_elements=["group_id", "person_id"], set_=values))
         if wanted.expires_at is not None:
             await _see_that_all_stay(db, seen)
-    found = queries.members_of(group_id, for_editor=True).where(person.c.id == person_id)
+    found = queries.members_of(actor, group_id, for_editor=True).where(person.c.id == person_id)
     return queries.to_member((await db.execute(found)).one())
 
 
@@ -185,7 +185,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
     seen = await (get_group(db, actor, group_id) if leaves else _managed(db, actor, group_id, "remove members"))
     if seen.kind is GroupKind.affiliation:
         raise GroupFixed(name=seen.name, reason="who is in it follows from verified addresses")
-    old = await _member(db, group_id, person_id)
+    old = await _member(db, actor, group_id, person_id)
     if old is None:
         raise NotFound(noun="member", ref=str(person_id))
     await record(db, actor, _event(seen, "group.member", _before(old), {"person": old.name, "removed": True}))
@@ -207,8 +207,8 @@ def _see_that_it_is_theirs_to_give(actor: Actor, seen: GroupRead, wanted: Member
         raise RightExceeded(noun="group", wanted=until, held=f"one until {own:%Y-%m-%d %H:%M} UTC")
 
 
-async def _member(db: Connection, group_id: uuid.UUID, person_id: uuid.UUID) -> Row[Any] | None:
-    found = queries.members_of(group_id, for_editor=True).where(person.c.id == person_id)
+async def _member(db: Connection, actor: Actor, group_id: uuid.UUID, person_id: uuid.UUID) -> Row[Any] | None:
+    found = queries.members_of(actor, group_id, for_editor=True).where(person.c.id == person_id)
     return (await db.execute(found)).one_or_none()
 
 
