@@ -1,9 +1,10 @@
 // Where files go: a project and a mission that are there, or made for it. What was typed stays until it is sent.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
-import { computed, type ComputedRef, reactive, type Ref, ref, watch } from "vue";
+import { computed, type ComputedRef, reactive, type Ref, ref, shallowReactive, watch } from "vue";
+import { useRoute } from "vue-router";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
-import { type FieldProblem, type Problem, toProblem } from "@/api/problem";
+import { type Problem, toProblem } from "@/api/problem";
 import type { Mission, MetadataFields, Page, Project } from "@/api/types";
 import { judge, type Values } from "@/components/metadata";
 import { texts } from "@/texts/upload";
@@ -21,19 +22,29 @@ export interface PlaceForm {
   values: Values;
 }
 
+interface Named {
+  readonly id: string;
+  readonly name: string;
+}
+
+interface Options {
+  readonly items: readonly Named[];
+  readonly hasMore: boolean;
+}
+
 export interface PlaceChoice {
   readonly form: PlaceForm;
-  readonly findProject: Ref<string>;
-  readonly findMission: Ref<string>;
-  readonly projects: ComputedRef<Page<Project> | undefined>;
-  readonly missions: ComputedRef<Page<Mission> | undefined>;
+  readonly find: { project: string; mission: string };
+  /** Undefined while they are not known. */
+  readonly projects: ComputedRef<Options | undefined>;
+  readonly missions: ComputedRef<Options>;
   readonly fields: ComputedRef<MetadataFields>;
   readonly prefilledFrom: ComputedRef<string>;
   /** Whether what is wrong is said; once one has tried to go on. */
   readonly isShown: Ref<boolean>;
   readonly problem: Ref<Problem | null>;
-  readonly metadataProblems: ComputedRef<readonly FieldProblem[]>;
   readonly wrong: ComputedRef<Readonly<Partial<Record<keyof PlaceForm, string>>>>;
+  readonly pickProject: (id: string) => void;
   /** Make what is to be made, and return where files go; null where something is wrong with the form. */
   readonly settle: () => Promise<MissionPlace | null>;
 }
@@ -42,22 +53,54 @@ const form = reactive<PlaceForm>({ projectId: "", projectName: "", missionId: ""
 
 const NO_FIELDS: MetadataFields = { fields: [], undeclared: "accept" };
 
+/** What the address named, which may not be among those listed. */
+const known = shallowReactive<{ project: Named | null; mission: Named | null }>({ project: null, mission: null });
+
+/** Choose what the address names: a mission, or a project for a new one. */
+async function preselect(missionId: string, projectId: string): Promise<void> {
+  if (missionId !== "") {
+    const mission = await call<Mission>(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: missionId } } }));
+    choose(mission.project, mission);
+  } else if (projectId !== "") {
+    const project = await call<Project>(api.GET("/api/v1/projects/{project_id}", { params: { path: { project_id: projectId } } }));
+    choose(project, null);
+  }
+}
+
+function choose(project: Named, mission: Named | null): void {
+  Object.assign(known, { project, mission });
+  Object.assign(form, { projectId: project.id, missionId: mission?.id ?? NEW, missionName: "", values: {} });
+}
+
+function withKnown(named: Named | null, listed: readonly Named[]): readonly Named[] {
+  return named === null || listed.some(({ id }) => id === named.id) ? listed : [named, ...listed];
+}
+
+function nameOf(options: readonly Named[], wanted: string): string {
+  return options.find(({ id }) => id === wanted)?.name ?? "";
+}
+
 export function usePlace(): PlaceChoice {
-  const [findProject, findMission, isShown, problem] = [ref(""), ref(""), ref(false), ref<Problem | null>(null)];
+  const find = reactive({ project: "", mission: "" });
+  const isShown = ref(false);
+  const problem = ref<Problem | null>(null);
+  const asked = useRoute().query;
+  const [mission, project] = [asked.mission, asked.project].map((each) => (typeof each === "string" ? each : ""));
+  preselect(mission ?? "", project ?? "").catch((thrown: unknown) => (problem.value = toProblem(thrown)));
   const isThere = computed(() => form.projectId !== "" && form.projectId !== NEW);
 
   const projects = useQuery({
-    queryKey: computed(() => keys.projects({ upload: true, text: findProject.value })),
+    queryKey: computed(() => keys.projects({ upload: true, text: find.project })),
     queryFn: ({ signal }) => {
-      const query = { sort: "name", limit: LISTED, text: findProject.value || null } as const;
+      const query = { sort: "name", limit: LISTED, text: find.project || null } as const;
       return call<Page<Project>>(api.GET("/api/v1/projects", { params: { query }, signal }));
     },
     placeholderData: keepPreviousData,
   });
   const missions = useQuery({
-    queryKey: computed(() => keys.missions({ upload: true, project: form.projectId, text: findMission.value })),
+    queryKey: computed(() => keys.missions({ upload: true, project: form.projectId, text: find.mission })),
     queryFn: ({ signal }) => {
-      const query = { project_id: form.projectId, sort: "-created", limit: LISTED, text: findMission.value || null } as const;
+      const query = { project_id: form.projectId, sort: "-created", limit: LISTED, text: find.mission || null } as const;
       return call<Page<Mission>>(api.GET("/api/v1/missions", { params: { query }, signal }));
     },
     enabled: isThere,
@@ -71,16 +114,22 @@ export function usePlace(): PlaceChoice {
     },
     enabled: isThere,
   });
+  const writable = computed(() => projects.data.value?.items.filter(({ right }) => right !== "READ") ?? []);
+  const projectOptions = computed(() => withKnown(known.project, writable.value));
+  const missionOptions = computed(() => withKnown(known.mission, missions.data.value?.items ?? []));
   const fields = computed(() => (isThere.value ? template.data.value?.fields : undefined) ?? NO_FIELDS);
 
-  watch(() => form.projectId, (now, before) => {
-    if (before !== "") Object.assign(form, { missionId: now === NEW ? NEW : "", values: {} });
+  watch([template.data, () => form.missionId], ([told]) => {
+    const isUntouched = form.missionId === NEW && Object.keys(form.values).length === 0;
+    if (told !== undefined && isUntouched) form.values = { ...told.values };
+  }, { immediate: true });
+
+  /** Choose another project: what was said of a mission in the one before is said of none. */
+  function pickProject(id: string): void {
+    Object.assign(form, { projectId: id, missionId: id === NEW ? NEW : "", values: {} });
     isShown.value = false;
     problem.value = null;
-  });
-  watch(template.data, (told) => {
-    if (told !== undefined && Object.keys(form.values).length === 0) form.values = { ...told.values };
-  }, { immediate: true });
+  }
 
   const wrong = computed(() => {
     const found: Partial<Record<keyof PlaceForm, string>> = {};
@@ -92,24 +141,23 @@ export function usePlace(): PlaceChoice {
     return found;
   });
 
-  async function projectToUse(): Promise<{ readonly id: string; readonly name: string }> {
-    if (form.projectId !== NEW) return { id: form.projectId, name: projects.data.value?.items.find(({ id }) => id === form.projectId)?.name ?? "" };
+  async function projectToUse(): Promise<Named> {
+    if (form.projectId !== NEW) return { id: form.projectId, name: nameOf(projectOptions.value, form.projectId) };
     const made = await call(api.POST("/api/v1/projects", { body: { name: form.projectName.trim(), description: "" } }));
-    Object.assign(form, { projectId: made.id, projectName: "", missionId: NEW }); // made once, whatever follows
-    await projects.refetch();
+    known.project = made;
+    Object.assign(form, { projectId: made.id, projectName: "" }); // made once, whatever follows
     return made;
   }
 
-  async function missionToUse(project: { readonly id: string; readonly name: string }): Promise<MissionPlace> {
-    const there = missions.data.value?.items.find(({ id }) => id === form.missionId);
+  async function missionToUse(project: Named): Promise<MissionPlace> {
     const at = { projectId: project.id, projectName: project.name };
-    if (form.missionId !== NEW) return { id: form.missionId, name: there?.name ?? "", ...at };
+    if (form.missionId !== NEW) return { id: form.missionId, name: nameOf(missionOptions.value, form.missionId), ...at };
     const metadata = Object.fromEntries(Object.entries(form.values).filter(([, value]) => value !== null && value !== ""));
     const body = { name: form.missionName.trim(), metadata, notes: "" };
     const path = { project_id: project.id };
-    const { id, name } = await call(api.POST("/api/v1/projects/{project_id}/missions", { params: { path }, body }));
-    Object.assign(form, { missionId: id, missionName: "", values: {} });
-    return { id, name, ...at };
+    const made = await call(api.POST("/api/v1/projects/{project_id}/missions", { params: { path }, body }));
+    choose(project, made);
+    return { id: made.id, name: made.name, ...at };
   }
 
   async function settle(): Promise<MissionPlace | null> {
@@ -126,10 +174,12 @@ export function usePlace(): PlaceChoice {
   }
 
   return {
-    form, findProject, findMission, fields, isShown, problem, wrong, settle,
-    projects: computed(() => projects.data.value),
-    missions: computed(() => missions.data.value),
+    form, find, fields, isShown, problem, wrong, pickProject, settle,
+    projects: computed(() => {
+      const told = projects.data.value;
+      return told && { items: projectOptions.value, hasMore: told.next != null };
+    }),
+    missions: computed(() => ({ items: missionOptions.value, hasMore: missions.data.value?.next != null })),
     prefilledFrom: computed(() => template.data.value?.prefilled_from?.name ?? ""),
-    metadataProblems: computed(() => problem.value?.fields ?? []),
   };
 }

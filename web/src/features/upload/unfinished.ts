@@ -1,7 +1,7 @@
 // What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
 import { type Ref, shallowRef } from "vue";
 import type { JournalFile, JournalHead, Journal } from "./engine/journal";
-import type { PlannedFile } from "./engine/nouns";
+import { partSizeBytes, type PlannedFile } from "./engine/nouns";
 
 /** An upload that did not come to its end. */
 export interface Unfinished {
@@ -9,6 +9,8 @@ export interface Unfinished {
   readonly left: readonly JournalFile[];
   readonly doneCount: number;
   readonly leftBytes: number;
+  /** Of these, about how many are at the store already. */
+  readonly heldBytes: number;
 }
 
 /** How files chosen anew fit what was unfinished. */
@@ -21,12 +23,20 @@ export interface Fit {
   readonly missing: readonly string[];
 }
 
-export function summarised(head: JournalHead, files: readonly JournalFile[]): Unfinished {
+/** Return what is left of an upload. */
+export async function summarised(journal: Journal, head: JournalHead): Promise<Unfinished> {
+  const files = await journal.files(head.id);
   const left = files.filter((file) => file.state !== "done");
   const leftBytes = left.reduce((sum, file) => sum + file.sizeBytes, 0);
-  return { head, left, doneCount: files.length - left.length, leftBytes };
+  let heldBytes = 0;
+  for (const { uploadId, sizeBytes } of left) {
+    const parts = uploadId === null ? 0 : (await journal.parts(uploadId)).size;
+    heldBytes += Math.min(sizeBytes, parts * partSizeBytes(sizeBytes));
+  }
+  return { head, left, doneCount: files.length - left.length, leftBytes, heldBytes };
 }
 
+/** Return how files chosen anew fit what is left. */
 export function fitOf(unfinished: Unfinished, files: readonly PlannedFile[]): Fit {
   const chosen = new Map(files.map((file) => [file.path, file.identity]));
   const changed: string[] = [];
@@ -37,6 +47,11 @@ export function fitOf(unfinished: Unfinished, files: readonly PlannedFile[]): Fi
     else if (now.sizeBytes !== sizeBytes || now.modifiedMs !== modifiedMs) changed.push(path);
   }
   return { same: unfinished.left.length - changed.length - missing.length, changed, missing };
+}
+
+/** Say whether any unfinished file is among those chosen. */
+export function fits(fit: Fit): boolean {
+  return fit.same + fit.changed.length > 0;
 }
 
 let opening: Promise<Journal | null> | null = null;
@@ -64,7 +79,7 @@ export function useUnfinished(): UnfinishedUploads {
     isKept.value = kept !== null;
     if (kept === null) return;
     const found: Unfinished[] = [];
-    for (const head of await kept.heads(personId)) found.push(summarised(head, await kept.files(head.id)));
+    for (const head of await kept.heads(personId)) found.push(await summarised(kept, head));
     all.value = found.filter(({ left }) => left.length > 0);
   }
 

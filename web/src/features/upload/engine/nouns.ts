@@ -1,4 +1,4 @@
-// The nouns of an upload: what was dropped, what is planned, how it goes and how it ends. No behaviour.
+// The nouns of an upload: what was dropped, what is planned, how it goes and how it ends.
 
 import type { components } from "@/api/schema";
 
@@ -15,6 +15,11 @@ export type ProblemDocument = Schemas["ProblemDocument"];
 
 export const MIN_PART_BYTES = 8 * 1024 * 1024;
 export const MAX_FILE_BYTES = 5 * 1024 ** 4;
+
+/** The size of a file's parts: a function of its size alone, as in `contract/uploads.py`. */
+export function partSizeBytes(fileSizeBytes: number): number {
+  return MIN_PART_BYTES * Math.max(1, Math.ceil(fileSizeBytes / (8192 * MIN_PART_BYTES)));
+}
 
 /** What tells that a file is still the one that was chosen, as far as a browser can tell. */
 export interface Identity {
