@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_choice
 from kleinkram.cli.mission_view import show_topics
 from kleinkram.cli.options import AsJson, DryRun, Limit, MissionOption, ProjectOption, Yes, confirm
@@ -12,7 +13,10 @@ from kleinkram.cli.render import details, line, note, show_json, show_json_list,
 from kleinkram.cli.units import instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.client.files import file_label
+from kleinkram.contract.errors import from_problem
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
+from kleinkram.contract.searching import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
 app = typer.Typer(
@@ -85,6 +89,45 @@ def update(
         if path is not None:
             found = client.files.update(found.id, path=path)
     show_json(found) if as_json else _show(found)
+
+
+@app.command("label")
+@with_choice
+def label(
+    choice: Choice,
+    files: Annotated[Many, typer.Argument(metavar="FILE", help="Paths, globs or ids.", show_default=False)] = None,
+    add: Annotated[Many, typer.Option("--add", metavar="LABEL", help="To put on; may be given several times.")] = None,
+    remove: Annotated[Many, typer.Option("--remove", metavar="LABEL", help="To take off; likewise.")] = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Put labels on many files, or take labels off: of those that are named, or that the options choose."""
+    if not add and not remove:
+        raise InvalidInput(what="The command", reason="say what to change: --add or --remove")
+    if choice.is_empty() and not files:
+        raise InvalidInput(what="The command", reason="say which files: -p, -m, --query, a path, a glob or an id")
+    with connect() as client:
+        found = select_files(client, choice, files or [])
+        if not found:
+            raise NothingToDo(reason="No file matches")
+        if dry_run:
+            show_json_list(found) if as_json else show_found(found)
+            note(f"Would label {len(found)} files")
+            return
+        done = [*client.files.label([file.id for file in found], add=add or [], remove=remove or [])]
+    if as_json:
+        show_json_list(done)
+    _say_labelled(found, done)
+
+
+def _say_labelled(found: list[FileRead], done: list[FileLabelled]) -> None:
+    failures = [from_problem(each.problem) for each in done if each.problem is not None]
+    for file, each in zip(found, done, strict=True):
+        if each.problem is not None:
+            note(f"{file_label(file)}: {each.problem.detail}")
+    note(f"Labelled {len(done) - len(failures)} files")
+    if code := exit_code_of(failures):
+        raise typer.Exit(code)
 
 
 @app.command("delete")

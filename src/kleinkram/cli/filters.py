@@ -15,8 +15,9 @@ from kleinkram.client.checking import checked
 from kleinkram.client.references import is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
-from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import is_id, name_key
+from kleinkram.contract.query import render, whole
+from kleinkram.contract.searching import FileQuery
 
 Many = list[str] | None
 
@@ -25,6 +26,9 @@ Many = list[str] | None
 class Choice:
     """What the filter options said, as they were given."""
 
+    query: Annotated[
+        str | None, typer.Option("--query", metavar="QUERY", help="All in one text: 'alps topic:/imu -label:night'.")
+    ] = None
     project: ProjectOption = None
     mission: MissionOption = None
     text: Annotated[str | None, typer.Option("--text", metavar="TEXT", help="Found in names, notes and metadata.")] = (
@@ -76,12 +80,30 @@ def with_choice(command: Callable[..., None]) -> Callable[..., None]:
 def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> FileFilter:
     """Return the filter that the options mean; a project or mission that is named, not a glob, must exist.
 
+    A query holds beside the other options, as if all had been said in one text.
+
     Raises:
-        NotFound, AmbiguousName: of a project or mission that was named.
+        NotFound, AmbiguousName: of a project or mission that was named by an option.
+        InvalidQuery: the query cannot be read, or an option says again what may be said once.
         InvalidInput: a value is not usable.
     """
+    return _filter(choice, _place(client, choice), paths)
+
+
+def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> str:
+    """Return the text of the query for the missions that the options mean; several may have the name that was given.
+
+    Raises:
+        NotFound, AmbiguousName: of a project that was named by an option.
+        InvalidQuery, InvalidInput: as in `file_filter`.
+    """
+    named = {} if choice.mission is None else {"mission_id" if is_id(choice.mission) else "mission": choice.mission}
+    return render(_filter(choice, {**_project(client, choice), **named}, paths))
+
+
+def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
     given: dict[str, object] = {
-        **_place(client, choice),
+        **place,
         "text": choice.text,
         "path": [*paths],
         "where": choice.where,
@@ -95,30 +117,10 @@ def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> Fi
         "recorded_before": parse_time(choice.before),
         "min_size_bytes": None if choice.min_size is None else parse_size(choice.min_size),
         "max_size_bytes": None if choice.max_size is None else parse_size(choice.max_size),
+        "query": choice.query,
     }
-    return checked(FileFilter, "The filter", **{key: value for key, value in given.items() if value not in (None, [])})
-
-
-def mission_filter(client: Client, choice: Choice) -> MissionFilter:
-    """Return the filter on missions that the options mean; those about files are left aside.
-
-    Raises:
-        NotFound, AmbiguousName, InvalidInput: as in `file_filter`.
-    """
-    project = _project(client, choice)
-    given: dict[str, object] = {
-        **project,
-        "name": choice.mission,
-        "text": choice.text,
-        "where": choice.where,
-        "topic": choice.topic,
-        "message_type": choice.message_type,
-        "recorded_after": parse_time(choice.after),
-        "recorded_before": parse_time(choice.before),
-    }
-    return checked(
-        MissionFilter, "The filter", **{key: value for key, value in given.items() if value not in (None, [])}
-    )
+    said = {key: value for key, value in given.items() if value not in (None, [])}
+    return whole(checked(FileQuery, "The filter", **said))
 
 
 def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[FileRead]:

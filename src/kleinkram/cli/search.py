@@ -1,18 +1,22 @@
 """`klein search`"""
 
 import enum
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
 from kleinkram import connect
 from kleinkram.cli.file import show_found
-from kleinkram.cli.filters import Choice, Many, file_filter, mission_filter, with_choice
+from kleinkram.cli.filters import Choice, Many, file_filter, mission_query, with_choice
 from kleinkram.cli.mission_view import show_missions, show_topics
 from kleinkram.cli.options import AsJson, Limit
-from kleinkram.cli.render import show_json, show_json_list
+from kleinkram.cli.render import note, show_json, show_json_list, table
 from kleinkram.client import Client
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
+from kleinkram.contract.query import render
+from kleinkram.contract.searching import FacetsRead
 
 
 class Shown(str, enum.Enum):
@@ -21,13 +25,15 @@ class Shown(str, enum.Enum):
     files = "files"
     missions = "missions"
     topics = "topics"
+    facets = "facets"
 
 
 @with_choice
 def search(
     choice: Choice,
     words: Annotated[
-        str | None, typer.Argument(metavar="TEXT", help="Found in names, notes and metadata.", show_default=False)
+        str | None,
+        typer.Argument(metavar="QUERY", help="Words and terms: 'alps topic:/imu meta.speed>3'.", show_default=False),
     ] = None,
     show: Annotated[Shown, typer.Option("--show", help="What to list.")] = Shown.files,
     path: Annotated[Many, typer.Option("--path", metavar="GLOB", help="Path in the mission.")] = None,
@@ -36,15 +42,24 @@ def search(
     count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find files, missions or topics, in all projects: by text, metadata, topic, type, time, size and more."""
+    """Find files, missions or topics, in all projects: by text, metadata, topic, type, time, size and more.
+
+    QUERY is what the search page of the web shows, and can do all that the options can: words that are found in names,
+    notes, metadata, labels and topics, and terms: project: mission: path: topic: type: label: format: content: state:
+    month: after: before: size> duration< meta.FIELD: and -TERM for what is left out.
+    """
     if words is not None:
-        choice = Choice(**{**vars(choice), "text": words})
+        if choice.query is not None:
+            raise InvalidInput(what="The command", reason="say the query once, by itself or with --query")
+        choice = replace(choice, query=words)
     with connect() as client:
-        if count:
+        if show is Shown.facets:
+            _show_facets(client.search.facets(render(file_filter(client, choice, path or []))), as_json)
+        elif count:
             number = _count(client, choice, show, path or [])
             show_json({"total": number}) if as_json else typer.echo(str(number))
         elif show is Shown.missions:
-            missions = [*client.missions.list(mission_filter(client, choice), limit=limit)]
+            missions = [*client.missions.list(query=mission_query(client, choice, path or []), limit=limit)]
             show_json_list(missions) if as_json else show_missions(missions)
         elif show is Shown.topics:
             topics = [*client.files.find_topics(file_filter(client, choice, path or []), limit=limit)]
@@ -56,7 +71,17 @@ def search(
 
 def _count(client: Client, choice: Choice, show: Shown, paths: list[str]) -> int:
     if show is Shown.missions:
-        return client.missions.count(mission_filter(client, choice))
+        return client.missions.count(query=mission_query(client, choice, paths))
     if show is Shown.topics:
         return sum(1 for _ in client.files.find_topics(file_filter(client, choice, paths)))
     return client.files.count(file_filter(client, choice, paths))
+
+
+def _show_facets(found: FacetsRead, as_json: bool) -> None:
+    if as_json:
+        show_json(found)
+        return
+    rows = [(each.name, value.value, value.file_count, value.query) for each in found.facets for value in each.values]
+    table(["facet", "value", "files", "query"], rows)
+    if not found.is_whole:
+        note(f"To save time only {found.file_count} files were counted; say more to find fewer.")

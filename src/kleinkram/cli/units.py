@@ -1,12 +1,10 @@
 """Sizes, rates and times between people and numbers."""
 
 import datetime
-import re
 
 from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.query.amounts import read_size, read_time
 
-_SIZE = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[kmgt]?)(?P<binary>i?)b?(?:/s)?", re.IGNORECASE)
-_POWERS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
 _NS = 1_000_000_000
 
 
@@ -16,13 +14,10 @@ def parse_size(text: str) -> int:
     Raises:
         InvalidInput: it is none of these.
     """
-    match = _SIZE.fullmatch(text.strip())
-    if match is None:
-        raise InvalidInput(
-            what=f"The size {text!r}", reason="say bytes, or a number with k, M, G, T or KiB, MiB, GiB, TiB"
-        )
-    base = 1024 if match["binary"] else 1000
-    return int(float(match["number"]) * base ** _POWERS[match["unit"].lower()])
+    try:
+        return int(read_size(text.strip().removesuffix("/s")))
+    except ValueError as error:
+        raise InvalidInput(what=f"The size {text!r}", reason=str(error)) from None
 
 
 def parse_rate(text: str | None) -> float | None:
@@ -48,10 +43,9 @@ def parse_time(text: str | None) -> datetime.datetime | None:
     if text is None:
         return None
     try:
-        at = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
-    except ValueError:
-        raise InvalidInput(what=f"The time {text!r}", reason="say it as 2026-05-01 or 2026-05-01T10:00:00Z") from None
-    return at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
+        return read_time(text)
+    except ValueError as error:
+        raise InvalidInput(what=f"The time {text!r}", reason=str(error)) from None
 
 
 def ending(until: str | None, days: int | None) -> datetime.datetime | None:

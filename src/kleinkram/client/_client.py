@@ -16,6 +16,7 @@ from kleinkram.client.missions import Missions
 from kleinkram.client.people import People
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
+from kleinkram.client.search import Search
 from kleinkram.client.service import Service
 from kleinkram.client.shares import Shares
 from kleinkram.client.stats import Stats
@@ -45,6 +46,7 @@ class Client:
         self.shares = Shares(api)
         self.trash = Trash(api)
         self.stats = Stats(api)
+        self.search = Search(api)
         self.audit = Audit(api)
         self.service = Service(api)
         self.me = Me(api)

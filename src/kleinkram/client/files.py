@@ -1,13 +1,14 @@
 """Files and the topics inside them, for programs."""
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.missions import Missions
 from kleinkram.client.references import the_one
+from kleinkram.client.search import Wanted, as_filter
 from kleinkram.contract.files import (
     DownloadLinks,
     DownloadRequest,
@@ -18,6 +19,7 @@ from kleinkram.contract.files import (
     TopicRead,
 )
 from kleinkram.contract.names import is_id
+from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
 
 
@@ -28,15 +30,21 @@ class Files:
         self._api = api
 
     def list(
-        self, matching: FileFilter | None = None, *, sort: FileSort | None = None, limit: int | None = None
+        self, matching: Wanted = None, *, sort: FileSort | None = None, limit: int | None = None
     ) -> Iterator[FileRead]:
-        """Yield the files that match, by project, mission and path unless `sort` says otherwise."""
-        query = query_of(matching, sort=sort.value if sort else None)
+        """Yield the files that match, by project, mission and path unless `sort` says otherwise.
+
+        Here and below, `matching` is a filter, or the text of a query such as `"topic:/imu -label:night"`.
+
+        Raises:
+            InvalidQuery: the query cannot be read, or a comparison cannot be made.
+        """
+        query = query_of(as_filter(matching), sort=sort.value if sort else None)
         return pages(self._api, "/files", FileRead, query, limit=limit)
 
-    def count(self, matching: FileFilter | None = None) -> int:
+    def count(self, matching: Wanted = None) -> int:
         """Return how many files match."""
-        return count(self._api, "/files", FileRead, query_of(matching))
+        return count(self._api, "/files", FileRead, query_of(as_filter(matching)))
 
     def get(
         self,
@@ -63,9 +71,9 @@ class Files:
         """Yield the topics of one file, by name."""
         return pages(self._api, f"/files/{file_id}/topics", TopicRead, [])
 
-    def find_topics(self, matching: FileFilter | None = None, *, limit: int | None = None) -> Iterator[TopicRead]:
+    def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Iterator[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
-        return pages(self._api, "/topics", TopicRead, query_of(matching), limit=limit)
+        return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching)), limit=limit)
 
     def update(self, file_id: uuid.UUID, **changes: str | uuid.UUID | Sequence[str]) -> FileRead:
         """Change what is given (the fields of `FileUpdate`): a path renames, a `mission_id` moves; no byte is touched.
@@ -76,6 +84,22 @@ class Files:
         """
         body = checked(FileUpdate, "The file", **changes)
         return self._api.patch(f"/files/{file_id}", FileRead, body)
+
+    def label(
+        self, file_ids: Iterable[uuid.UUID], *, add: Sequence[str] = (), remove: Sequence[str] = ()
+    ) -> Iterator[FileLabelled]:
+        """Put labels on files and take labels off; yield how it went with each, in order, however many they are.
+
+        A file that one may not change has a `problem`, and keeps no other from being labelled.
+
+        Raises:
+            InvalidInput: a label is not usable.
+        """
+        ids = [*file_ids]
+        for start in range(0, len(ids), MAX_LABELLED):
+            some = ids[start : start + MAX_LABELLED]
+            body = checked(LabelChange, "The labels", file_ids=some, add=[*add], remove=[*remove])
+            yield from self._api.repeat("/files/labels", FilesLabelled, body).items
 
     def delete(self, file_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
         """Move a file to the trash; with `dry_run`, only say what would go."""

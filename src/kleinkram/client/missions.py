@@ -23,15 +23,26 @@ class Missions:
         self._api = api
 
     def list(
-        self, matching: MissionFilter | None = None, *, sort: MissionSort | None = None, limit: int | None = None
+        self,
+        matching: MissionFilter | None = None,
+        *,
+        query: str | None = None,
+        sort: MissionSort | None = None,
+        limit: int | None = None,
     ) -> Iterator[MissionRead]:
-        """Yield the missions that match, by name unless `sort` says otherwise."""
-        query = query_of(matching, sort=sort.value if sort else None)
-        return pages(self._api, "/missions", MissionRead, query, limit=limit)
+        """Yield the missions that match, by name unless `sort` says otherwise.
 
-    def count(self, matching: MissionFilter | None = None) -> int:
-        """Return how many missions match."""
-        return count(self._api, "/missions", MissionRead, query_of(matching))
+        With the text of a `query`, those that it finds: by what they say themselves, or by their files.
+
+        Raises:
+            InvalidQuery: the query cannot be read, or a comparison cannot be made.
+        """
+        asked = query_of(matching, query=query, sort=sort.value if sort else None)
+        return pages(self._api, "/missions", MissionRead, asked, limit=limit)
+
+    def count(self, matching: MissionFilter | None = None, *, query: str | None = None) -> int:
+        """Return how many missions match, and are found by the `query`."""
+        return count(self._api, "/missions", MissionRead, query_of(matching, query=query))
 
     def get(self, ref: str | uuid.UUID, *, project: str | uuid.UUID | None = None) -> MissionRead:
         """Return the mission with this id, or with this name (in that project, where one is given).

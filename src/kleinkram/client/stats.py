@@ -1,7 +1,7 @@
 """Statistics, for programs."""
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.contract.files import FileFilter
+from kleinkram.client.search import Wanted, as_filter
 from kleinkram.contract.stats import StatsRead
 
 
@@ -11,7 +11,7 @@ class Stats:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def get(self, by: str = "project", matching: FileFilter | None = None) -> StatsRead:
+    def get(self, by: str = "project", matching: Wanted = None) -> StatsRead:
         """Return hours, bytes, files and messages of the matching files.
 
         `by` is `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
@@ -19,4 +19,4 @@ class Stats:
         Raises:
             InvalidQuery: `by` is none of these.
         """
-        return self._api.get("/stats", StatsRead, query_of(matching, by=by))
+        return self._api.get("/stats", StatsRead, query_of(as_filter(matching), by=by))

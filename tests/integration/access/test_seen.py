@@ -1,6 +1,7 @@
 """Lists, searches and numbers show each of many exactly what they may see: nothing leaks by a name or by a number."""
 
 import random
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
@@ -38,8 +39,8 @@ def _ids(items: Iterable[Any], key: str = "id") -> list[str]:
     return sorted(str(item[key]) for item in items)
 
 
-def _some(lab: Lab, eye: Eye, things: Sequence[T]) -> Sequence[T]:
-    return things if lab.seed >= _SEEDS else random.Random(f"{lab.seed} {eye.name}").sample(things, _SOME)
+def _some(lab: Lab, eye: Eye, things: Sequence[T], most: int = _SOME) -> Sequence[T]:
+    return things if lab.seed >= _SEEDS else random.Random(f"{lab.seed} {eye.name}").sample(things, most)
 
 
 def _visible_files(lab: Lab, eye: Eye, missions: Iterable[Mission] | None = None) -> list[File]:
@@ -93,6 +94,38 @@ def test_files_and_topics(lab: Lab) -> None:
         visible = sorted(file.id for file in _visible_files(lab, eye))
         assert _ids(_listed(api, "/files")) == visible, eye
         assert _ids(_listed(api, "/topics"), "file_id") == visible, eye
+
+
+def test_searches(lab: Lab) -> None:
+    """Each number of a search and of its facets is that of what may be seen, whatever is asked for."""
+    for eye, api in _looks(lab):
+        if not eye.reads:
+            continue
+        for query, files in _some(lab, eye, _queries(lab, eye), 2):
+            found = api.get("/search", {"query": query, "limit": "500"}).ok()
+            assert _ids(found["files"]["items"]) == sorted(file.id for file in files), eye
+            assert found["files"]["total"] == found["topics"]["total"] == len(files), eye
+            assert sum(item["file_count"] for item in found["topics"]["items"]) == len(files), eye
+            if query:  # what says nothing finds missions without files, too
+                assert _ids(found["missions"]["items"]) == sorted({file.mission.id for file in files}), eye
+            facets = {each["name"]: each for each in api.get("/search/facets", {"query": query}).ok()["facets"]}
+            projects = Counter(file.mission.project.name for file in files)
+            shown = facets.get("project", {"values": []})["values"]
+            assert {each["value"]: each["file_count"] for each in shown} == projects, eye
+            assert facets.get("topic", {"value_count": 0})["value_count"] == len(files), eye
+
+
+def _queries(lab: Lab, eye: Eye) -> list[tuple[str, list[File]]]:
+    """Return queries with the visible files that they find."""
+    visible = _visible_files(lab, eye)
+    alone = [file for file in visible if file.path == "alone.mcap"]
+    return [
+        ("", visible),
+        ("path:alone.mcap", alone),
+        ("-path:split/*", alone),
+        ("mission:outing* path:none", []),
+        ("topic:/* -path:alone.mcap", [file for file in visible if file not in alone]),
+    ]
 
 
 @pytest.mark.parametrize("by", ["project", "mission", "topic", "format"])

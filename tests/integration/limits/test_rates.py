@@ -38,10 +38,10 @@ def _fresh(api: Api) -> Api:
 @pytest.mark.parametrize(
     ("method", "path", "body", "what"),
     [
-        ("GET", "/stats", None, "searches"),
-        ("GET", "/topics", None, "searches"),
+        ("GET", "/search", None, "searches"),
+        ("GET", "/search/facets", None, "searches"),
         ("GET", "/files?text=x", None, "searches"),
-        ("GET", "/missions?text=x", None, "searches"),
+        ("GET", "/missions?query=x", None, "searches"),
         ("GET", "/projects?text=x", None, "searches"),
         ("POST", "/files/download", {"file_ids": ["00000000-0000-4000-8000-000000000000"]}, "downloads"),
         ("POST", "/files/00000000-0000-4000-8000-000000000000/prove", None, "proofs"),

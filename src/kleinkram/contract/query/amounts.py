@@ -103,7 +103,10 @@ def read_time(text: str) -> datetime.datetime:
 
 def say_time(at: datetime.datetime) -> str:
     """Return a time as `read_time` reads it; without zone it is UTC."""
-    moment = at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
+    try:
+        moment = at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
+    except OverflowError:  # within a day of the year 1 or 9999, where no recording is
+        moment = at.replace(tzinfo=_UTC)
     if moment.time() == datetime.time():
         return moment.date().isoformat()
     return moment.replace(tzinfo=None).isoformat() + "Z"

@@ -7,14 +7,13 @@ from fractions import Fraction
 
 from pydantic import ValidationError
 
-from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import is_id
 from kleinkram.contract.query.amounts import bounds, read_duration, read_size, read_time
 from kleinkram.contract.query.keys import KEYS, META, Key, is_glob, possible
 from kleinkram.contract.query.rendering import render
-from kleinkram.contract.query.words import Word, as_value, joined, split
+from kleinkram.contract.query.words import Word, as_value, joined, single, split
 from kleinkram.contract.searching import FileQuery
 
 _AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": read_size, "duration": read_duration}
@@ -42,10 +41,9 @@ def parse_term(text: str) -> FileFilter:
     Raises:
         InvalidQuery: it cannot be read, is negative itself, or is not just one.
     """
-    words = [*split(text)]
-    if len(words) != 1 or words[0].is_negative:
-        raise InvalidQuery(expression=text, reason="what is left out is one term each, such as label:night")
-    return parse(text)
+    reading = _Reading()
+    reading.take(single(text))
+    return reading.filter()
 
 
 class _Reading:

@@ -7,7 +7,7 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.query.amounts import DURATIONS, SIZES, say_bound, say_time
 from kleinkram.contract.query.keys import KEYS, META, Key, is_glob
-from kleinkram.contract.query.words import as_value, as_word, escaped, phrases, quoted
+from kleinkram.contract.query.words import as_value, as_word, escaped, phrases, quoted, single
 
 _UNITS: Mapping[str, Mapping[str, int]] = {"size": SIZES, "duration": DURATIONS}
 
@@ -16,7 +16,7 @@ def render(matching: FileFilter) -> str:
     """Return the text of a filter: words first, then what it says by keys, then what is left out.
 
     Raises:
-        InvalidQuery: a comparison in `where` is none.
+        InvalidQuery: a comparison in `where` is none, or what is left out is not one term.
     """
     return " ".join(_terms(matching))
 
@@ -47,7 +47,7 @@ def _terms(matching: FileFilter) -> Iterator[str]:
         if key.name == "label":  # metadata stands between what is said of the recording and of the file
             yield from (render_where(expression) for expression in matching.where)
         yield from _terms_of(key, matching)
-    yield from (f"-{term}" for term in matching.without)
+    yield from (f"-{single(term).written}" for term in matching.without)
 
 
 def _terms_of(key: Key, matching: FileFilter) -> Iterator[str]:

@@ -46,6 +46,18 @@ def split(text: str) -> Iterator[Word]:
         yield word
 
 
+def single(text: str) -> Word:
+    """Return the one word of a term that is left out, as a filter's `without` holds it.
+
+    Raises:
+        InvalidQuery: it cannot be read, is negative itself, or is not just one.
+    """
+    words = [*split(text)]
+    if len(words) != 1 or words[0].is_negative:
+        raise InvalidQuery(expression=text, reason="what is left out is one term each, such as label:night")
+    return words[0]
+
+
 def phrases(text: str) -> list[str]:
     """Return the words of the `text` of a filter, each of which must be found; quotes make several words one."""
     found = [_unescaped(each["inner"]) if each["inner"] is not None else each[0] for each in _PHRASE.finditer(text)]
