@@ -5,7 +5,7 @@ import { api, call } from "./client";
 import { keys } from "./keys";
 import { Problem } from "./problem";
 import { noteSignedIn } from "./signing-in";
-import type { Me } from "./types";
+import type { Me, Service } from "./types";
 
 /** Returns who is signed in; null for a stranger. */
 export async function fetchMe(): Promise<Me | null> {
@@ -36,4 +36,10 @@ export function useMe(): WhoIsHere {
     isAdmin: computed(() => query.data.value?.is_admin ?? false),
     isKnown: computed(() => !query.isPending.value),
   };
+}
+
+/** Returns what the server says of itself: its name, its store, its viewers. Null until it has said so. */
+export function useService(): ComputedRef<Service | null> {
+  const query = useQuery({ queryKey: keys.service, queryFn: () => call(api.GET("/api/v1/service")), staleTime: Infinity });
+  return computed(() => query.data.value ?? null);
 }

@@ -3,6 +3,7 @@ import type { components } from "./schema";
 
 type Schemas = components["schemas"];
 
+export type Service = Schemas["ServiceRead"];
 export type Me = Schemas["MeRead"];
 export type Project = Schemas["ProjectRead"];
 export type Mission = Schemas["MissionRead"];

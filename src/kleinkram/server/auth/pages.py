@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.server.headers import PAGE_POLICY
 from kleinkram.server.settings import Settings
+from kleinkram.server.web.serving import LOOK, brand
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -90,6 +91,7 @@ def account_page(settings: Settings) -> HTMLResponse:
         + (f"<h2>Change your password</h2>{_form('change', change, 'Change it')}" if settings.local_accounts else "")
         + '<h2>Sign out</h2><button type="button" data-act="sign-out">This browser</button>'
         + '<button type="button" data-act="sign-out-everywhere">Everywhere</button>'
+        '<p class="small"><a href="/">Back to your missions</a></p>'
     )
     return _page(settings, "Your account", "account", body)
 
@@ -104,9 +106,11 @@ def _page(settings: Settings, title: str, name: str, body: str, *, status: int =
     html = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{escape(title)} · Kleinkram</title><link rel="stylesheet" href="/sign-in/static/sign-in.css">'
+        f"<title>{escape(title)} · {escape(settings.lab_name)}</title>{LOOK}"
+        '<link rel="stylesheet" href="/sign-in/static/sign-in.css">'
         '<script src="/sign-in/static/sign-in.js" defer></script></head>'
-        f'<body data-page="{name}" data-origin="{escape(settings.public_origin)}"><main><h1>{escape(title)}</h1>'
+        f'<body data-page="{name}" data-origin="{escape(settings.public_origin)}">{brand(settings)}'
+        f"<main><h1>{escape(title)}</h1>"
         f'<p id="said" role="status" hidden></p>{body}<noscript><p>These pages need JavaScript.</p></noscript>'
         "</main></body></html>"
     )
@@ -114,7 +118,7 @@ def _page(settings: Settings, title: str, name: str, body: str, *, status: int =
 
 
 def _form(name: str, fields: str, button: str) -> str:
-    return f'<form method="post" data-form="{name}">{fields}<button>{escape(button)}</button></form>'
+    return f'<form method="post" data-form="{name}">{fields}<button class="primary">{escape(button)}</button></form>'
 
 
 def _provider_button(name: str, text: str, act: str) -> str:
@@ -124,6 +128,7 @@ def _provider_button(name: str, text: str, act: str) -> str:
 def _decision() -> str:
     return (
         '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do all that you may do. '
-        'Agree only if you started it yourself just now.</p><button type="button" data-act="approve">Agree</button>'
+        "Agree only if you started it yourself just now.</p>"
+        '<button type="button" class="primary" data-act="approve">Agree</button>'
         '<button type="button" data-act="deny">Refuse</button></section>'
     )

@@ -11,17 +11,21 @@ from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.shares import SHARE_PAGE
+from kleinkram.server.dependencies import CurrentSettings
 from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.web.serving import LOOK, brand
 
 # Not part of the API: for people, not for programs.
 router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)
 _STATIC = {"share.js": "text/javascript", "share.css": "text/css"}
-_PAGE = (
+_HEAD = (
     '<!doctype html><html lang="en"><head><meta charset="utf-8">'
     '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Shared · Kleinkram</title>'
-    f'<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
-    f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head>'
-    '<body><main><h1>Shared with you</h1><p id="said" role="status" hidden></p><p id="what"></p>'
+    f'{LOOK}<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
+    f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head><body>'
+)
+_MAIN = (
+    '<main><h1>Shared with you</h1><p id="said" role="status" hidden></p><p id="what"></p>'
     '<table><tbody id="files"></tbody></table><button type="button" id="more" hidden>More</button>'
     "<noscript><p>This page needs JavaScript; `klein download ADDRESS` does without.</p></noscript>"
     "</main></body></html>"
@@ -29,9 +33,9 @@ _PAGE = (
 
 
 @router.get("")
-async def page() -> HTMLResponse:
+async def page(settings: CurrentSettings) -> HTMLResponse:
     """Show the page of a link."""
-    return HTMLResponse(_PAGE, headers={"Content-Security-Policy": PAGE_POLICY})
+    return HTMLResponse(_HEAD + brand(settings) + _MAIN, headers={"Content-Security-Policy": PAGE_POLICY})
 
 
 @router.get("/static/{name}")

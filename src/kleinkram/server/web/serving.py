@@ -3,6 +3,7 @@
 Reads files that were made with the wheel or by `make setup`, and nothing else. A name never leads out of its folder.
 """
 
+from html import escape
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,12 @@ STATIC: Final = Path(__file__).parent / "static"
 FOREVER: Final = "public, max-age=31536000, immutable"
 DAY: Final = "public, max-age=86400"
 HOUR: Final = "public, max-age=3600"
+# What the pages that the server makes itself have in common with the app: colours, letters, light or dark, a name.
+LOOK: Final = (
+    '<meta name="color-scheme" content="light dark"><link rel="icon" href="/static/icon.svg" type="image/svg+xml">'
+    '<link rel="stylesheet" href="/static/fonts.css"><link rel="stylesheet" href="/static/tokens.css">'
+    '<script src="/static/theme.js"></script>'
+)
 _TYPES: Final = {
     ".css": "text/css",
     ".js": "text/javascript",
@@ -56,6 +63,12 @@ def app_page(settings: Settings, *, status: int = 200) -> Response:
         return HTMLResponse(_NOT_BUILT, status_code=503, headers={"Content-Security-Policy": PAGE_POLICY})
     headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": "no-cache"}
     return HTMLResponse(page.read_bytes(), status_code=status, headers=headers)
+
+
+def brand(settings: Settings) -> str:
+    """Return the line above such a page: whose server it is, and the way to the app."""
+    icon = '<img src="/static/icon.svg" alt="" width="28" height="28">'
+    return f'<header><a class="brand" href="/">{icon}{escape(settings.lab_name)}</a></header>'
 
 
 def wants_page(request: Request) -> bool:
