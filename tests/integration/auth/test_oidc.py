@@ -144,14 +144,18 @@ def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
 def test_an_address_that_is_not_verified_opens_nobody_s_account(lab: Lab, verified: object) -> None:
     made = account(lab.api)
     said = lab.refuses(f"thief {made.id}", email=made.email, email_verified=verified)
-    assert "there is an account with" in said
+    assert "does not get an account" in said
+    assert "Link another way" in said
+    nobodys = any_email()
+    other = lab.refuses(f"nobody {made.id}", email=nobodys, email_verified=verified)
+    assert other.replace(nobodys, made.email) == said, "it does not tell who has an account"
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", made.id) == [(0,)]
 
 
 def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: Lab) -> None:
     for domain in ("other.example", "sub.lab.example", "lab.example.evil.example"):
         made = account(lab.api, email=f"{any_email().partition('@')[0]}@{domain}")
-        assert "there is an account with" in lab.refuses(f"thief of {domain}", **_told(made.email))
+        assert "does not get an account" in lab.refuses(f"thief of {domain}", **_told(made.email))
 
 
 def test_an_address_that_was_given_to_somebody_else_does_not_open_its_former_owner_s_account(lab: Lab) -> None:
@@ -218,6 +222,10 @@ def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: S
     settings = _provider("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
     anybody = Lab(start_api(oidc_providers=[settings]), lab.provider)
     assert anybody.sign_in("whoever", **_told(any_email())).me()["emails"] == []
+    # An address that somebody else has makes no difference: it is neither believed nor told of.
+    made = account(anybody.api)
+    me = anybody.sign_in("namesake", **_told(made.email)).me()
+    assert (me["person"]["id"] != made.id, me["emails"]) == (True, [])
 
 
 def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:

@@ -2,7 +2,8 @@
 
 An identity that is known opens its account. One that is not is linked to the account of its address only where the
 provider verified that address, the settings trust it for that domain, and the provider does not know that account's
-owner as somebody else: addresses are given to new people. Else the person links it, signed in.
+owner as somebody else: addresses are given to new people. Else the person links it, signed in. Whoever's address is
+not proven is told nothing of it: the answer is the same whether it has an account or not.
 """
 
 import uuid
@@ -40,15 +41,9 @@ async def open_account(db: Connection, asker: Actor, *, vouched: Vouched, provid
     if known is not None:
         await _prove(db, known, proven, provider)
         return known
-    owner = await _owner_of(db, address)
+    owner = await _owner_of(db, proven)
     if owner is None:
         return await _new_account(db, asker, vouched=vouched, provider=provider, proven=proven)
-    if proven is None:
-        raise SignInRefused(
-            reason=f"there is an account with {address} here, and {provider.title}'s word alone does not open it. "
-            f"Sign in as you did before, then add {provider.title} to your account: "
-            "“Link another way to sign in” on the page /sign-in/account."
-        )
     if await _is_known_to(db, owner, provider):
         raise SignInRefused(
             reason=f"{provider.title} knows the owner of the account with {address} here as somebody else: an address "
@@ -150,12 +145,19 @@ async def _new_account(
 def _see_that_it_is_open(vouched: Vouched, provider: OidcProvider, proven: str | None) -> None:
     if provider.open_to is OpenTo.anybody:
         return
+    linking = (
+        f"If you have an account, sign in as you did before and add {provider.title} to it: "
+        "“Link another way to sign in” on the page /sign-in/account."
+    )
     if provider.open_to is OpenTo.invited:
-        raise SignInRefused(reason="accounts on this server are by invitation. Ask one of its admins for one.")
+        raise SignInRefused(
+            reason=f"accounts on this server are by invitation. {linking} Else ask one of its admins for one."
+        )
     if proven is None:
         who = f"{vouched.email or 'your account'} of {provider.title}"
         raise SignInRefused(
-            reason=f"{who} does not get an account here by itself. Ask one of this server's admins for an invitation."
+            reason=f"{who} does not get an account here by itself. {linking} "
+            "Else ask one of this server's admins for an invitation."
         )
 
 
