@@ -120,6 +120,8 @@ def create_app(settings: Settings) -> FastAPI:
         version=kleinkram.__version__,
         summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
         lifespan=lifespan,
+        # A Location would be made from the Host header, which is whatever the asker says.
+        redirect_slashes=False,
         docs_url=None,
         redoc_url=None,
         # Told for each operation by its codes (`failures`); said here, so that its schema is among those told.

@@ -68,3 +68,10 @@ def test_a_trusted_proxy_is_believed_and_what_it_was_told_is_not(start_api: Star
     api = start_api(trusted_proxies="127.0.0.0/8, 10.0.0.0/8")
     assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "203.0.113.9"
     assert _address_noted(api, **{"X-Forwarded-For": "192.0.2.1, 203.0.113.9, 10.1.1.1"}) == "203.0.113.9"
+
+
+@pytest.mark.parametrize("path", ["/api/v1/projects/", "/sign-in/", "/health/live/"])
+def test_nobody_is_sent_on_to_a_host_of_the_askers_choice(api: Api, path: str) -> None:
+    answer = urllib3.request("GET", f"{api.url}{path}", headers={"Host": "evil.example"}, redirect=False)
+    assert (answer.status, answer.headers.get("location")) == (404, None)
+    assert answer.json()["code"] == "not_found"
