@@ -34,6 +34,11 @@ from kleinkram.server.web.serving import app_page, wants_page
 
 _log = logging.getLogger("kleinkram.http")
 _LONGEST_ID = 36
+# Who says nothing of who they are can only sign in, which takes little.
+_STRANGERS_BODY_BYTES = 64 * 1024
+# What is said of one invalid request: to tell all that is wrong with a large one would keep everybody else waiting.
+_MOST_PROBLEMS = 100
+_MOST_CHARACTERS = 1000
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
@@ -74,6 +79,8 @@ class Envelope:
 
     async def _bounded(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
         limit = self._body_limit_bytes
+        if b"authorization" not in headers and b"cookie" not in headers:
+            limit = min(limit, _STRANGERS_BODY_BYTES)
         request_id = scope["state"]["request_id"]
         declared = headers.get(b"content-length", b"0")
         if declared.isdigit() and int(declared) > limit:
@@ -87,7 +94,7 @@ class Envelope:
             message = await receive()
             received += len(message.get("body", b""))
             if received > limit:  # HTTPException is what passes through the framework's body parser
-                raise HTTPException(413, detail=str(received))
+                raise HTTPException(413, detail=f"{received} {limit}")
             return message
 
         await self._app(scope, receive_bounded, send)
@@ -161,8 +168,11 @@ async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, RequestValidationError):
         raise error
     problems = [
-        FieldProblem(field=".".join(str(part) for part in issue["loc"]), message=str(issue["msg"]))
-        for issue in error.errors()
+        FieldProblem(
+            field=".".join(str(part)[:_MOST_CHARACTERS] for part in issue["loc"]),
+            message=str(issue["msg"])[:_MOST_CHARACTERS],
+        )
+        for issue in error.errors()[:_MOST_PROBLEMS]
     ]
     return problem_response(InvalidRequest(problems=problems), _request_id(request))
 
@@ -171,8 +181,8 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
     if error.status_code == 413:
-        limit: int = request.app.state.settings.body_limit_bytes
-        return problem_response(BodyTooLarge(size_bytes=int(error.detail), limit_bytes=limit), _request_id(request))
+        size_bytes, limit_bytes = map(int, error.detail.split())
+        return problem_response(BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes), _request_id(request))
     if error.status_code == 405:
         return problem_response(MethodNotAllowed(method=request.method, path=request.url.path), _request_id(request))
     if error.status_code == 404 and wants_page(request):
