@@ -1,0 +1,26 @@
+"""What one request may cost: bodies are bounded, for strangers tightly, and so is what is said of what is wrong."""
+
+import json
+
+import urllib3
+
+from tests.integration.running import Api
+
+_MANY_KEYS = json.dumps({f"k{number}": 1 for number in range(20_000)}).encode()
+
+
+def _post(api: Api, path: str, headers: dict[str, str]) -> urllib3.BaseHTTPResponse:
+    sent = {"Content-Type": "application/json", **headers}
+    return urllib3.request("POST", f"{api.url}/api/v1{path}", headers=sent, body=_MANY_KEYS, timeout=30)
+
+
+def test_whoever_says_nothing_of_who_they_are_may_not_send_much(api: Api) -> None:
+    refused = _post(api, "/auth/password", {"Origin": api.url})
+    assert refused.status == 413
+    assert refused.json()["limit_bytes"] == 64 * 1024
+
+
+def test_of_an_invalid_request_only_the_first_problems_are_told(api: Api) -> None:
+    told = _post(api, "/projects", {"Authorization": f"Bearer {api.token}"})
+    assert told.status == 422
+    assert 0 < len(told.json()["problems"]) <= 100
