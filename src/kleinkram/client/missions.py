@@ -13,6 +13,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
 from kleinkram.contract.names import is_id
 from kleinkram.contract.timelines import MissionTimeline, TimelineFile
+from kleinkram.contract.topics import MAX_MISSION_TOPICS, MissionTopics
 from kleinkram.contract.trash import Deleted
 
 
@@ -84,6 +85,19 @@ class Missions:
             cursor = page.next
             if cursor is None:
                 return
+
+    def topics(self, mission_id: uuid.UUID, *, bins: int = 256) -> MissionTopics:
+        """Return the topics of all recordings of a mission, by name and type, with their messages in few bins.
+
+        `bins` is at most 512; 0 leaves them out.
+        """
+        path, query = f"/missions/{mission_id}/topics", query_of(None, bins=bins, limit=MAX_MISSION_TOPICS)
+        whole = self._api.get(path, MissionTopics, query)
+        cursor, items = whole.next, [*whole.items]
+        while cursor is not None:
+            page = self._api.get(path, MissionTopics, [*query, ("cursor", cursor)])
+            cursor, items = page.next, [*items, *page.items]
+        return whole.model_copy(update={"items": items, "next": None})
 
     def create(
         self,

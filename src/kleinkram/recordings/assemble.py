@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import NamedTuple
 
+from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary
@@ -45,7 +46,7 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
         run = within(times.runs, island)
-        topic = _summarise_topic(name, types[name][0], times, run, island)
+        topic = _summarise_topic(name, types[name][0], times, run, island, most_bins(len(timeline.topics)))
         topics.append(topic)
         problems += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
@@ -64,7 +65,7 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
 
 
 def _summarise_topic(
-    name: str, kind: TopicType, times: TopicTimes, run: Run | None, island: Run | None
+    name: str, kind: TopicType, times: TopicTimes, run: Run | None, island: Run | None, bins: int
 ) -> TopicSummary:
     return TopicSummary(
         name=name,
@@ -82,6 +83,7 @@ def _summarise_topic(
         out_of_order_count=times.out_of_order,
         stored_bytes=times.stored_bytes,
         suspect_count=times.count - (run.count if run else 0),
+        density=add_up([run.density], most=bins) if run and run.density else None,
     )
 
 

@@ -186,10 +186,13 @@ def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummar
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
         suspect_count=0 if count is None else count - (run.count if run else 0),
+        density=run.density if run else None,
     )
 
 
 def _run(topic: TopicSummary) -> Run | None:
     if topic.first_ns is None or topic.last_ns is None or topic.count is None:
         return None
-    return Run(topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0)
+    return Run(
+        topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0, topic.density
+    )

@@ -93,6 +93,22 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Density:
+    """How many messages lie where in time (see `density`).
+
+    Attributes:
+        start_ns: where the first bin begins, a multiple of `bin_ns`.
+        bin_ns: how wide bins are, a power of two.
+        counts: messages of each bin, from its beginning on, that inclusive, up to the next; neither the first nor the
+            last is 0. Suspect stamps are in none.
+    """
+
+    start_ns: int
+    bin_ns: int
+    counts: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class TopicSummary:
     """One topic of a recording. Times are integer nanoseconds of the log clock; None: not known or not defined.
 
@@ -109,6 +125,7 @@ class TopicSummary:
             order in which they stand in the file (by chunk, then by offset in the chunk).
         stored_bytes: share of the stored (compressed) chunks, by the uncompressed bytes of its message records.
         suspect_count: messages whose log time cannot be true (see `timeline`).
+        density: of the messages that are not suspect; None where times are not known, or there are none.
     """
 
     name: str
@@ -126,6 +143,7 @@ class TopicSummary:
     out_of_order_count: int | None = None
     stored_bytes: int | None = None
     suspect_count: int = 0
+    density: Density | None = None
 
 
 @dataclass(frozen=True)

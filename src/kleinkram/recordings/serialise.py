@@ -8,6 +8,7 @@ from typing import Any
 
 from kleinkram.recordings.model import (
     Content,
+    Density,
     Depth,
     Fact,
     Lost,
@@ -40,12 +41,18 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
     values["format"] = RecordingFormat(values["format"])
     values["content"] = Content(values["content"])
     values["compression"] = tuple(values["compression"])
-    values["topics"] = tuple(TopicSummary(**topic) for topic in values["topics"])
+    values["topics"] = tuple(_topic(topic) for topic in values["topics"])
     values["problems"] = tuple(Problem(**problem) for problem in values["problems"])
     values["depth"] = Depth(values["depth"])
     values["lost"] = Lost(**values["lost"]) if values["lost"] is not None else None
     values["facts"] = tuple(Fact(**fact) for fact in values["facts"])
     return RecordingSummary(**values)
+
+
+def _topic(plain: Mapping[str, Any]) -> TopicSummary:
+    density = plain["density"]
+    counted = Density(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
+    return TopicSummary(**{**plain, "density": counted})
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:

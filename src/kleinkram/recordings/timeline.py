@@ -20,24 +20,34 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import accumulate, pairwise
 from operator import itemgetter, lt, sub
 
+from kleinkram.recordings.density import MAX_BINS, add_up, count_stamps, most_bins
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
+from kleinkram.recordings.model import Density
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
 LEAST_JUMP_NS = 10 * 1_000_000_000
+SETTLE_AT = 65_536
+"""Stamps that wait before any are settled: settling costs by the topic, so it is worth while for many stamps only."""
+
 _KEY_BITS = 20
 
 
 @dataclass(frozen=True)
 class Run:
-    """Messages of one topic without a year of silence between them; both ends inclusive."""
+    """Messages of one topic without a year of silence between them; both ends inclusive.
+
+    `density` is None where it is not known, or not wanted.
+    """
 
     first_ns: int
     last_ns: int
     count: int
     longest_gap_ns: int
+    density: Density | None = None
 
 
 @dataclass(frozen=True)
@@ -102,15 +112,17 @@ class TopicTimes:
         if self.jump is not None and self.jump.return_ns is None and 2 * forward_ns > known_ns:
             self.jump = replace(self.jump, return_ns=stamps[steps.index(forward_ns)])
 
-    def settle(self, before_ns: int | None) -> None:
-        """Turn pending stamps below `before_ns` (None: all) into runs."""
+    def settle(self, before_ns: int | None, most: int) -> None:
+        """Turn pending stamps below `before_ns` (None: all) into runs, whose density has at most so many bins."""
         if not self.pending or (before_ns is not None and self.earliest_pending_ns >= before_ns):
             return
         stamps = sorted(self.pending)
         cut = len(stamps) if before_ns is None else bisect_left(stamps, before_ns)
         if cut:
-            for run in _split(stamps[:cut]):
-                self._absorb(run)
+            # Whichever run these join, its bins are at least as wide, and theirs need not be narrower.
+            bin_ns = min((run.density.bin_ns for run in self.runs if run.density), default=1)
+            for run in _split(stamps[:cut], bin_ns, most):
+                self._absorb(run, most)
             self.pending = array("Q", stamps[cut:])
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
@@ -124,29 +136,34 @@ class TopicTimes:
         self.latest_ns = max(self.latest_ns, later.latest_ns)
         self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or later.gaps_are_upper_bounds
         for run in later.runs:
-            self._absorb(run)
+            self._absorb(run, MAX_BINS)
 
-    def _absorb(self, run: Run) -> None:
+    def _absorb(self, run: Run, most: int) -> None:
         if self.runs and run.first_ns < self.runs[-1].last_ns:
             late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
             self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
-        self.runs = join([*self.runs, run])
+        self.runs = join([*self.runs, run], most)
 
 
-def _split(stamps: Sequence[int]) -> list[Run]:
+def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[Run]:
     """Cut sorted stamps where a year passes."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
-        return [Run(stamps[0], stamps[-1], len(stamps), longest)]
+        density = count_stamps(stamps, least_bin_ns=bin_ns, most=most)
+        return [Run(stamps[0], stamps[-1], len(stamps), longest, density)]
     cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
-    return [Run(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0)) for a, b in pairwise(cuts)]
+    return [
+        Run(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
+        for a, b in pairwise(cuts)
+    ]
 
 
-def join(runs: Iterable[Run]) -> list[Run]:
+def join(runs: Iterable[Run], most: int = MAX_BINS) -> list[Run]:
     """Join runs that overlap or lie within a year of each other; sorted by time.
 
-    The gap between two runs that do not overlap counts as a gap of the joined one.
+    The gap between two runs that do not overlap counts as a gap of the joined one, whose density has at most `most`
+    bins.
     """
     joined: list[Run] = []
     for run in sorted(runs, key=lambda run: run.first_ns):
@@ -160,13 +177,19 @@ def join(runs: Iterable[Run]) -> list[Run]:
             max(previous.last_ns, run.last_ns),
             previous.count + run.count,
             max(previous.longest_gap_ns, run.longest_gap_ns, between),
+            _both(previous.density, run.density, most),
         )
     return joined
 
 
+def _both(one: Density | None, other: Density | None, most: int = MAX_BINS) -> Density | None:
+    return add_up((one, other), most=most) if one is not None and other is not None else None
+
+
 def bulk(runs: Iterable[Run]) -> Run | None:
     """Return the island with the most messages over all topics; of equals, the latest. None without any message."""
-    return max(join(runs), key=lambda run: (run.count, run.first_ns), default=None)
+    bare = [Run(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
+    return max(join(bare), key=lambda run: (run.count, run.first_ns), default=None)
 
 
 def within(runs: Iterable[Run], island: Run | None) -> Run | None:
@@ -178,7 +201,8 @@ def within(runs: Iterable[Run], island: Run | None) -> Run | None:
         return None
     gaps = [run.longest_gap_ns for run in inside]
     gaps += [after.first_ns - before.last_ns for before, after in pairwise(inside)]
-    return Run(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps))
+    density = reduce(_both, [run.density for run in inside])
+    return Run(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
 
 
 @dataclass(frozen=True)
@@ -196,6 +220,7 @@ class Timeline:
     def __init__(self) -> None:
         self.topics: dict[str, TopicTimes] = {}
         self._pending = 0
+        self._settle_at = SETTLE_AT
 
     def topic(self, name: str) -> TopicTimes:
         """Return the times of a topic, empty ones if it is new."""
@@ -237,10 +262,16 @@ class Timeline:
 
     def settle(self, before_ns: int | None) -> None:
         """State that no stamp below `before_ns` will follow; None: none at all."""
+        if before_ns is not None and self._pending < self._settle_at:
+            self.bound()
+            return
+        most = most_bins(len(self.topics))
         for times in self.topics.values():
             if times.pending:
-                times.settle(before_ns)
+                times.settle(before_ns, most)
         self._pending = sum(len(times.pending) for times in self.topics.values())
+        # Not again for the few that come between where many must wait for long.
+        self._settle_at = max(SETTLE_AT, 2 * self._pending)
         self.bound()
 
     def bound(self) -> None:
@@ -249,11 +280,12 @@ class Timeline:
             self._settle_older_half()
 
     def _settle_older_half(self) -> None:
+        most = most_bins(len(self.topics))
         for times in self.topics.values():
             if times.pending:
                 stamps = sorted(times.pending)
                 # Including the one in the middle: all of them may be equal.
-                times.settle(stamps[len(stamps) // 2] + 1)
+                times.settle(stamps[len(stamps) // 2] + 1, most)
         self._pending = sum(len(times.pending) for times in self.topics.values())
 
 

@@ -62,6 +62,7 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "list_missions": _LISTED,
     "update_mission": (*_METADATA, QuotaExceeded),
     "list_recordings": (InvalidCursor,),
+    "list_mission_topics": (InvalidCursor,),
     "get_mission_timeline": (InvalidCursor,),
     "list_files": _LISTED,
     "download_files": (FileUnavailable, RateLimited),

@@ -61,6 +61,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     ),
     "delete_mission": (Caller(delete("/missions/{mission}", dry_run="true"), About.mission),),
     "list_recordings": (Caller(get("/missions/{mission}/recordings"), About.mission),),
+    "list_mission_topics": (Caller(get("/missions/{mission}/topics"), About.mission),),
     "get_mission_timeline": (Caller(get("/missions/{mission}/timeline"), About.mission),),
     "get_recording": (Caller(get("/recordings/{recording}"), About.file),),
     "list_files": (Caller(get("/files", project_id="{project}"), About.file, shows=lists("file")),),

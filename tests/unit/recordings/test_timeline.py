@@ -19,8 +19,10 @@ T0 = 1_700_000_000_000_000_000
 
 
 def measured(chunks: list[list[int]], *, watermarks: bool = True) -> Measured:
-    """Feed chunks of one topic as a reader of an index does."""
-    timeline = Timeline()
+    """Feed chunks of one topic as a reader of an index does, and settle as soon as may be."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timeline_module, "SETTLE_AT", 1)
+        timeline = Timeline()
     starts = array("Q", [min(chunk) for chunk in chunks])
     for chunk, before_ns in zip(chunks, smallest_to_come(starts), strict=True):
         offsets = [number * 100 for number in range(len(chunk))]
@@ -81,7 +83,7 @@ def test_memory_stays_small_for_a_long_recording() -> None:
         timeline.settle(start + 1_000)
     times = timeline.topics["/t"]
     assert times.count == 2_000_000
-    assert len(times.pending) == 0
+    assert len(times.pending) <= timeline_module.SETTLE_AT
     assert len(times.runs) == 1
 
 

@@ -71,6 +71,7 @@ OPERATIONS: dict[str, Need] = {
     "delete_mission": Need(On.mission, Right.delete, _WRITE),
     "list_recordings": Need(On.mission, Right.read, _READ, guests=True),
     "get_recording": Need(On.mission, Right.read, _READ, guests=True),
+    "list_mission_topics": Need(On.mission, Right.read, _READ, guests=True),
     "get_mission_timeline": Need(On.mission, Right.read, _READ, guests=True),
     # Files
     "list_files": _seen(),

@@ -11,6 +11,7 @@ from sqlalchemy import Row, delete, func, insert, select, update
 
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary
+from kleinkram.recordings.density import pack
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.db import Connection
@@ -101,6 +102,7 @@ def _fitting(value: str | int | float) -> str | int | float:
 def _topic_values(blob_id: uuid.UUID, each: Any) -> dict[str, object]:
     values = asdict(each)
     values.pop("suspect_count")
+    values["density"] = pack(each.density) if each.density is not None else None
     texts = ("name", "message_type", "schema_name", "schema_encoding", "message_encoding")
     values |= {key: fit(values[key]) for key in texts}
     values |= {key: _bigint(value) for key, value in values.items() if isinstance(value, int)}

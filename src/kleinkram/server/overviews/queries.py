@@ -3,13 +3,21 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import Row, Select
+from sqlalchemy import BigInteger, Row, Select, Uuid, and_, column, func, literal, select, true
+from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
+from sqlalchemy.sql.dml import ReturningInsert
 
 from kleinkram.contract.timelines import TimelineFile
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import shown_span, visible_files, visible_missions
+from kleinkram.server.access.visible import (
+    shown_files,
+    shown_recordings,
+    shown_span,
+    visible_files,
+    visible_missions,
+)
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import blob, file, mission
+from kleinkram.server.tables import blob, file, mission, mission_topic, mission_topics, recording, topic
 
 TIMELINE_ORDER = Order([file.c.path, file.c.id])
 
@@ -45,3 +53,85 @@ def to_timeline_file(row: Row[Any]) -> TimelineFile:
         content=row.content,
         state=row.state,
     )
+
+
+def mission_topics_state(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return span and revision of one visible mission, and what was derived of its topics; null where nothing was."""
+    start_ns, end_ns = shown_span(actor)
+    columns = (start_ns.label("start_ns"), end_ns.label("end_ns"), mission.c.files_revision)
+    stmt = visible_missions(actor).with_only_columns(
+        *columns, mission_topics.c.revision, mission_topics.c.bin_ns, maintain_column_froms=True
+    )
+    return stmt.outerjoin(mission_topics, mission_topics.c.mission_id == mission.c.id).where(mission.c.id == mission_id)
+
+
+def bare_mission(mission_id: uuid.UUID) -> Select[Any]:
+    """Return span and revision of a mission, for no one in particular."""
+    return select(mission.c.start_ns, mission.c.end_ns, mission.c.files_revision).where(mission.c.id == mission_id)
+
+
+def recordings_in_time(mission_id: uuid.UUID, actor: Actor | None = None) -> Select[Any]:
+    """Return the recordings of a mission in the order of time, as far as they are shown."""
+    stmt = select(recording.c.id, recording.c.name).where(recording.c.mission_id == mission_id)
+    stmt = stmt if actor is None else stmt.where(shown_recordings(actor))
+    return stmt.order_by(recording.c.start_ns.nulls_last(), recording.c.name, recording.c.id)
+
+
+def recordings_by_id(mission_id: uuid.UUID) -> Select[Any]:
+    """Return the recordings that the kept topics of a mission count, by place; those that are gone without a name."""
+    listed = func.unnest(mission_topics.c.recording_ids).table_valued(
+        column("id", Uuid), with_ordinality="place", name="listed"
+    )
+    listed = listed.render_derived()
+    found = select(listed.c.id, recording.c.name).select_from(mission_topics).join(listed, true())
+    found = found.outerjoin(recording, recording.c.id == listed.c.id)
+    return found.where(mission_topics.c.mission_id == mission_id).order_by(listed.c.place)
+
+
+def topics_of_files(
+    mission_id: uuid.UUID, start_ns: int | None, end_ns: int | None, actor: Actor | None = None
+) -> Select[Any]:
+    """Return the topics of a mission's files, as `merging.merge` takes them.
+
+    What lies outside of the mission's span, for its clock was never set, is not placed.
+    """
+    span = (literal(start_ns, BigInteger), literal(end_ns, BigInteger))
+    is_placed = func.coalesce(and_(topic.c.first_ns >= span[0], topic.c.last_ns <= span[1]), False)
+    numbers = (topic.c.first_ns, topic.c.last_ns, topic.c.longest_gap_ns, topic.c.stored_bytes, topic.c.density)
+    stmt = select(
+        topic.c.name,
+        topic.c.message_type,
+        topic.c.count.label("message_count"),
+        *numbers,
+        file.c.recording_id,
+        is_placed.label("is_placed"),
+    ).join_from(file, topic, topic.c.blob_id == file.c.blob_id)
+    stmt = stmt.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
+    stmt = stmt if actor is None else stmt.where(shown_files(actor))
+    return stmt.order_by(topic.c.name, topic.c.message_type, file.c.recording_id, topic.c.first_ns)
+
+
+def put_header(**values: object) -> ReturningInsert[Any]:
+    """Return the statement that says what a mission's topics follow from; it returns a row, unless newer ones stand."""
+    statement = insert(mission_topics).values(**values)
+    changed = {name: statement.excluded[name] for name in ("revision", "recording_ids", "bin_ns")}
+    return statement.on_conflict_do_update(
+        index_elements=["mission_id"], set_=changed, where=mission_topics.c.revision <= statement.excluded.revision
+    ).returning(mission_topics.c.mission_id)
+
+
+def kept_topics(mission_id: uuid.UUID) -> Select[Any]:
+    """Return the topics that are kept of a mission, each with all types under which the mission has it."""
+    other = mission_topic.alias("other")
+    types = (
+        select(func.array_agg(aggregate_order_by(other.c.message_type, other.c.message_type)))
+        .where(other.c.mission_id == mission_topic.c.mission_id, other.c.name == mission_topic.c.name)
+        .correlate(mission_topic)
+        .scalar_subquery()
+    )
+    counted = mission_topic.c.count.label("message_count")
+    return select(mission_topic, counted, types.label("types")).where(mission_topic.c.mission_id == mission_id)
+
+
+# By name and type, which the id follows within a name: rows are written in that order.
+KEPT_ORDER = Order([mission_topic.c.name, mission_topic.c.id])

@@ -100,7 +100,8 @@ async def _topics(db: Connection, wanted: Sequence[set[uuid.UUID]]) -> AsyncIter
     ).table_valued(column("number", Integer), column("blob_id", Uuid), name="given")
     given = given.render_derived()
     counted = topic.c.count.label("message_count")
-    statement = select(given.c.number, topic, counted).join(topic, topic.c.blob_id == given.c.blob_id)
+    columns = [column for column in topic.c if column.name != "density"]
+    statement = select(given.c.number, *columns, counted).join(topic, topic.c.blob_id == given.c.blob_id)
     result = await db.stream(statement.order_by(given.c.number, topic.c.blob_id, topic.c.name))
     row = await result.fetchone()
     for number in range(len(wanted)):

@@ -8,6 +8,7 @@ from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
+from kleinkram.server.overviews.topics import keep_topics
 from kleinkram.server.recordings import deriving
 from kleinkram.server.recordings.understanding import Understanding
 
@@ -29,3 +30,5 @@ async def group_recordings(context: JobContext, ref: str) -> None:
             return
         rows = await deriving.live_files(db, mission_id)
         await deriving.keep(db, mission_id, await deriving.derive(db, rows, stated), rows)
+    async with site.database.begin() as db:
+        await keep_topics(db, mission_id)

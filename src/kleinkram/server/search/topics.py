@@ -11,7 +11,7 @@ from kleinkram.server.tables import blob, file, topic
 
 def topic_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the topics of the files of a select that began with `visible_files`, as `to_topic` reads them."""
-    columns = [column for column in topic.c if column.name not in {"id", "blob_id"}]
+    columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
     narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
     return narrowed.join(topic, topic.c.blob_id == blob.c.id)
 

@@ -6,6 +6,7 @@ from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blob import blob, topic
 from kleinkram.server.tables.file import file, recording
 from kleinkram.server.tables.mission import mission
+from kleinkram.server.tables.mission_topic import mission_topic, mission_topics
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
 from kleinkram.server.tables.share import share, share_file
@@ -33,6 +34,8 @@ __all__ = [
     "membership",
     "metadata",
     "mission",
+    "mission_topic",
+    "mission_topics",
     "oidc_login",
     "one_time_code",
     "password",

@@ -1,0 +1,145 @@
+"""How densely messages lie in time: a bounded number of bins whose sums are exact, however they are put together.
+
+Bins are a power of two of nanoseconds wide and begin at a multiple of their width. The width is the smallest with which
+all messages fall into at most so many bins. So it follows from the earliest and the latest stamp alone, and the bins
+of a whole are the sums of the bins of its parts: chunks, files, recordings and missions add up to what counting every
+message at once would have given.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from array import array
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+
+from kleinkram.recordings.model import Density
+
+MAX_BINS = 256
+"""Bins of one topic: between half as many and as many are in use, where messages lie far enough apart."""
+
+MANY_TOPICS = 4096
+"""In a file with more topics,"""
+
+FEW_BINS = 64
+"""there are so many bins of each."""
+
+_HEAD = struct.Struct("<BBQ")
+_CODES = "BHIQ"
+_LARGEST = [2 ** (8 * array(code).itemsize) - 1 for code in _CODES]
+
+
+def most_bins(topics: int) -> int:
+    """Return how many bins each of so many topics has, so that all together stay small."""
+    return MAX_BINS if topics <= MANY_TOPICS else FEW_BINS
+
+
+def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> Density:
+    """Return the density of sorted stamps, at least one. Bins narrower than `least_bin_ns` are not wanted."""
+    bits = _bits(stamps[0], stamps[-1], least_bin_ns.bit_length() - 1, most)
+    first = stamps[0] >> bits
+    bins = (stamps[-1] >> bits) - first + 1
+    if bins == 1:
+        return Density(first << bits, 1 << bits, (len(stamps),))
+    counts = [0] * bins
+    if len(stamps) < 4 * bins:
+        for stamp in stamps:
+            counts[(stamp >> bits) - first] += 1
+    else:
+        begin = 0
+        for number in range(bins):
+            end = bisect_left(stamps, (first + number + 1) << bits, begin)
+            counts[number] = end - begin
+            begin = end
+    return Density(first << bits, 1 << bits, tuple(counts))
+
+
+def add_up(densities: Iterable[Density], *, most: int = MAX_BINS) -> Density | None:
+    """Return the sum of densities; None of none."""
+    parts = list(densities)
+    if len(parts) == 1 and len(parts[0].counts) <= most:
+        return parts[0]
+    if not parts:
+        return None
+    start_ns = min(part.start_ns for part in parts)
+    last_ns = max(_last_ns(part) for part in parts)
+    bits = _bits(start_ns, last_ns, max(part.bin_ns for part in parts).bit_length() - 1, most)
+    first = start_ns >> bits
+    counts = [0] * ((last_ns >> bits) - first + 1)
+    # Nothing to be added to yet; and this is the long one where a recording grows.
+    head = parts.pop(0) if parts[0].bin_ns == 1 << bits else None
+    if head is not None:
+        begin = (head.start_ns >> bits) - first
+        counts[begin : begin + len(head.counts)] = head.counts
+    for part in parts:
+        _add(counts, part, first, bits)
+    return Density(first << bits, 1 << bits, tuple(counts))
+
+
+def on_axis(density: Density, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
+    """Return the counts in given bins; what lies outside of them is left out.
+
+    `bin_ns` is a power of two, not smaller than that of the density, and `start_ns` a multiple of it.
+    """
+    bits = bin_ns.bit_length() - 1
+    begin, end = density.start_ns >> bits, _last_ns(density) >> bits
+    counts = [0] * (end - begin + 1)
+    _add(counts, density, begin, bits)
+    first = start_ns >> bits
+    inside = counts[max(0, first - begin) : max(0, first + bins - begin)]
+    before = [0] * min(bins, max(0, begin - first))
+    return [*before, *inside, *([0] * (bins - len(before) - len(inside)))]
+
+
+def pack(density: Density) -> bytes:
+    """Return a density in few bytes: its width and first bin, then counts of 1, 2, 4 or 8 bytes, little-endian."""
+    largest = max(density.counts)
+    size = next(number for number, most in enumerate(_LARGEST) if largest <= most)
+    bits = density.bin_ns.bit_length() - 1
+    return _HEAD.pack(bits, size, density.start_ns >> bits) + _little(array(_CODES[size], density.counts)).tobytes()
+
+
+def unpack(packed: bytes) -> Density:
+    """Return what `pack` was given."""
+    bits, size, first = _HEAD.unpack_from(packed)
+    counts = array(_CODES[size])
+    counts.frombytes(packed[_HEAD.size :])
+    return Density(first << bits, 1 << bits, tuple(_little(counts)))
+
+
+def _little(counts: array[int]) -> array[int]:
+    if sys.byteorder == "big":
+        counts.byteswap()
+    return counts
+
+
+def _last_ns(density: Density) -> int:
+    return density.start_ns + len(density.counts) * density.bin_ns - 1
+
+
+def _bits(first_ns: int, last_ns: int, bits: int, most: int) -> int:
+    """Return the smallest width, as a power of two and not below `bits`, at which a span has at most so many bins."""
+    # Below, the span has more bins than wanted for sure; above by two, it has not.
+    bits = max(bits, ((last_ns - first_ns) // most).bit_length() - 1)
+    while (last_ns >> bits) - (first_ns >> bits) >= most:
+        bits += 1
+    return bits
+
+
+def _add(counts: list[int], part: Density, first: int, bits: int) -> None:
+    """Add a density, of the same or a smaller width, to counts of bins from `first` on."""
+    own_bits = part.bin_ns.bit_length() - 1
+    own_first = part.start_ns >> own_bits
+    shift = bits - own_bits
+    if shift == 0:
+        begin = own_first - first
+        end = begin + len(part.counts)
+        counts[begin:end] = map(int.__add__, counts[begin:end], part.counts)
+        return
+    step = 1 << shift
+    at, number = 0, (own_first >> shift) - first
+    upto = step - own_first % step
+    while at < len(part.counts):
+        counts[number] += sum(part.counts[at:upto])
+        at, upto, number = upto, upto + step, number + 1
