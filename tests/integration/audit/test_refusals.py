@@ -17,6 +17,7 @@ from tests.integration import people
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
+from tests.integration.uploading import wait_until
 
 
 def _noted(api: Api, operation: str) -> list[Any]:
@@ -62,19 +63,33 @@ def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
     assert len(_noted(api, "auth.refused")) == len(statements) == 5
 
 
-def test_after_a_flood_the_next_note_says_how_many_were_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refusals, "PER_MINUTE", 3)
+    monkeypatch.setattr(refusals, "MINUTE_S", 2.0)
+    api = start_api()
+    ada, project = people.person(api), api.project()["id"]
+    people.grant(api, ada, Right.read, project_id=project)
+    for _ in range(8):
+        api.as_(None).get("/me").refused(401, "not_authenticated")
+    api.as_(ada.token).delete(f"/projects/{project}").refused(403, "forbidden")
+    assert [event["actor"]["id"] for event in _noted(api, "access.denied")] == [ada.id]
+
+    def summed() -> list[Any]:
+        return [event["after"]["left_out"] for event in _noted(api, "auth.refused") if "left_out" in event["after"]]
+
+    wait_until(lambda: bool(summed()))
+    ones = [event for event in _noted(api, "auth.refused") if "left_out" not in event["after"]]
+    assert sum(summed()) + len(ones) == 8
+    assert len(summed()) <= 2
+
+
+def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(refusals, "PER_MINUTE", 2)
-    noted = Refusals()
-    assert [noted.admits(now) for now in (1000, 1001, 1030, 1059, 1060, 1061, 1062)] == [
-        True,
-        True,
-        False,
-        False,
-        True,
-        True,
-        False,
-    ]
-    assert (noted.left_out(), noted.left_out()) == (3, 0)
+    noted, ada = Refusals(), uuid.uuid4()
+    asked = [(None, 1000), (None, 1001), (None, 1030), (ada, 1031), (ada, 1032), (ada, 1059), (None, 1060), (ada, 1061)]
+    assert [noted.admits(whose, now) for whose, now in asked] == [True, True, False, True, True, False, True, True]
 
 
 def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi) -> None:

@@ -1,13 +1,16 @@
 """Failed sign-ins and denials: noted in a transaction of their own, since the request that failed keeps none.
 
-Anybody can have themselves refused, as often as they like. So a process notes at most `PER_MINUTE` refusals a minute;
-the first note after that says how many were left out, and the log of requests has every one. A token is never noted,
-nor anything else that the request brought along beside its address.
+Anybody can have themselves refused, as often as they like. So a process notes at most `PER_MINUTE` refusals a minute of
+each who is known, and as many of all strangers together: their noise hides nobody's denial. How many were left
+out stands in one row at the minute's end, and the log of requests has every refusal. A token is never noted, nor
+anything else that the request brought along beside its address.
 """
 
+import asyncio
 import logging
 import time
 import uuid
+from collections import Counter
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,7 +22,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, Database
 
 PER_MINUTE = 20
-_MINUTE_S = 60
+MINUTE_S = 60.0
 # Refusals that have another status than 401 and 403: who asks too often, and codes that are not, or no longer, good.
 ALSO_REFUSALS = {
     ErrorCode.rate_limited: "rate.limited",
@@ -58,51 +61,60 @@ class Refusal:
 
 
 class Refusals:
-    """How many were noted in the minute that runs, and how many were not since the last note."""
+    """How many were noted in the minute that runs: for each who is known, and for all strangers together."""
 
     def __init__(self) -> None:
         self._began_at = float("-inf")
-        self._noted = 0
+        self._noted: Counter[uuid.UUID | None] = Counter()
         self._left_out = 0
+        self._summing: asyncio.Task[None] | None = None
 
-    def admits(self, now: float) -> bool:
-        """Say whether a refusal at `now`, in seconds, may be noted, and count it either way."""
-        if now - self._began_at >= _MINUTE_S:
-            self._began_at, self._noted = now, 0
-        if self._noted >= PER_MINUTE:
-            self._left_out += 1
-            return False
-        self._noted += 1
-        return True
+    def admits(self, whose: uuid.UUID | None, now: float) -> bool:
+        """Say whether a refusal of somebody known, or with None of a stranger, may be noted at `now`, in seconds.
 
-    def left_out(self) -> int:
-        """Return how many were left out since this was asked last."""
-        count, self._left_out = self._left_out, 0
-        return count
+        It is counted either way.
+        """
+        if now - self._began_at >= MINUTE_S:
+            self._began_at = now
+            self._noted.clear()
+        self._noted[whose] += 1
+        return self._noted[whose] <= PER_MINUTE
 
     async def note(self, database: Database, refusal: Refusal) -> None:
         """Note a refusal; the answer is the same where that cannot be done."""
-        if not self.admits(time.monotonic()):
+        who = refusal.who
+        now = time.monotonic()
+        if self.admits(who.person_id or who.share_id, now):
+            try:
+                await _note_one(database, refusal)
+            except DatabaseUnavailable:
+                _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})
             return
-        left_out = self.left_out()
-        after: Metadata = {**refusal.why}
-        if left_out:
-            after["left_out_before"] = left_out
+        self._left_out += 1
+        if self._summing is None:
+            self._summing = asyncio.create_task(self._sum_up(database, self._began_at + MINUTE_S - now))
+
+    async def _sum_up(self, database: Database, after_s: float) -> None:
+        """Write the one row of a minute for the refusals that were not noted one by one."""
+        await asyncio.sleep(after_s)
+        count, self._left_out, self._summing = self._left_out, 0, None
+        after: Metadata = {"left_out": count, "within_s": MINUTE_S}
+        event = Event("auth.refused", "request", None, "left out", None, after=after)
         try:
             async with database.begin() as db:
-                at = await _found(db, refusal)
-                event = Event(
-                    refusal.operation,
-                    "request",
-                    None,
-                    refusal.place,
-                    at.project_id,
-                    after=after,
-                    mission_id=at.mission_id,
-                )
-                await record(db, refusal.who, event)
+                await record(db, STRANGER, event)
         except DatabaseUnavailable:
-            _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})
+            _log.warning("refusals not summed up", extra={"fields": {"left_out": count}})
+
+
+async def _note_one(database: Database, refusal: Refusal) -> None:
+    async with database.begin() as db:
+        at = await _found(db, refusal)
+        place = refusal.place
+        event = Event(
+            refusal.operation, "request", None, place, at.project_id, after=refusal.why, mission_id=at.mission_id
+        )
+        await record(db, refusal.who, event)
 
 
 class _At(NamedTuple):
