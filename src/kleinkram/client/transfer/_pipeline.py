@@ -1,6 +1,6 @@
 """The threads of an upload: the caller's hashes, one signs, some send, one finishes.
 
-Each byte is read once for its checksums; senders read their part again, from the page cache, as the body of its PUT.
+Each byte is read once for its checksums; senders send their part again, from the page cache, as the body of its PUT.
 So memory is a slice a thread, and a part whose bytes changed in between is refused by the store, which checks it
 against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
 """
@@ -17,6 +17,7 @@ from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._sending import Part, Sending
+from kleinkram.client.transfer._source import FileSlice
 from kleinkram.client.transfer._store import PATIENCE_S, Answer, PutAnswer, StoreDoor, Trouble
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
@@ -219,13 +220,13 @@ class Pipeline:
             self._watcher.moved(part.sending.file.path, -moved[0], part.sending.file.size_bytes)
         return answer
 
-    def _body(self, part: Part, moved: list[int]) -> Iterator[memoryview]:
-        for view in part.sending.source.slices(part.offset, part.size_bytes):
+    def _body(self, part: Part, moved: list[int]) -> Iterator[FileSlice]:
+        for piece in part.sending.source.stretches(part.offset, part.size_bytes):
             self._stop.check()
-            self._pace.spend(len(view), self._stop.wait)
-            yield view
-            moved[0] += len(view)
-            self._watcher.moved(part.sending.file.path, len(view), part.sending.file.size_bytes)
+            self._pace.spend(piece.length, self._stop.wait)
+            yield piece
+            moved[0] += piece.length
+            self._watcher.moved(part.sending.file.path, piece.length, part.sending.file.size_bytes)
 
     def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
         if answer.error is not None:

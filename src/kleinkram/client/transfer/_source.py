@@ -7,7 +7,8 @@ import hashlib
 import os
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol
 
 from awscrt.checksums import crc64nvme
@@ -77,6 +78,38 @@ def read_slice(handle: int, offset: int, length: int) -> memoryview:
     return view[: os.preadv(handle, [view], offset)]
 
 
+@dataclass(frozen=True)
+class FileSlice:
+    """Bytes of an open file: `length` of them from `offset`."""
+
+    path: Path
+    handle: int
+    offset: int
+    length: int
+
+    def from_byte(self, number: int) -> "FileSlice":
+        """Return what of it begins at its byte `number`."""
+        return replace(self, offset=self.offset + number, length=self.length - number)
+
+    def read(self) -> Iterator[memoryview]:
+        """Yield the bytes, in views that are valid until the next is asked for.
+
+        Raises:
+            FileChanged: the file has become shorter.
+            FileUnreadable: the disk does not give its bytes.
+        """
+        offset, end = self.offset, self.offset + self.length
+        while offset < end:
+            try:
+                view = read_slice(self.handle, offset, end - offset)
+            except OSError as error:
+                raise FileUnreadable(path=str(self.path), reason=error.strerror or str(error)) from None
+            if not view:
+                raise FileChanged(path=str(self.path), reason="it became shorter")
+            yield view
+            offset += len(view)
+
+
 class Source:
     """A planned file, open for reading from several threads."""
 
@@ -107,16 +140,13 @@ class Source:
             FileChanged: the file has become shorter.
             FileUnreadable: the disk does not give its bytes.
         """
+        return FileSlice(self.file.source, self._handle, offset, length).read()
+
+    def stretches(self, offset: int, length: int) -> "Iterator[FileSlice]":
+        """Yield where the same slices are, without reading them."""
         end = offset + length
-        while offset < end:
-            try:
-                view = read_slice(self._handle, offset, end - offset)
-            except OSError as error:
-                raise FileUnreadable(path=str(self.file.source), reason=error.strerror or str(error)) from None
-            if not view:
-                raise FileChanged(path=str(self.file.source), reason="it became shorter")
-            yield view
-            offset += len(view)
+        for start in range(offset, end, SLICE_BYTES):
+            yield FileSlice(self.file.source, self._handle, start, min(SLICE_BYTES, end - start))
 
     def check_unchanged(self) -> None:
         """Make sure that this is still the file that was planned, and still the one at its place.

@@ -14,9 +14,9 @@ import urllib3
 
 from kleinkram.client._http import reason_of
 from kleinkram.client._retry import Backoff
+from kleinkram.client.transfer._connections import open_connections
+from kleinkram.client.transfer._source import FileSlice
 
-CONNECT_TIMEOUT_S = 10.0
-READ_TIMEOUT_S = 120.0
 PATIENCE_S = 240.0
 _WORTH_SAYING_S = 5.0
 
@@ -74,14 +74,13 @@ class StoreDoor:
     """Connections to the store."""
 
     def __init__(self, connections: int) -> None:
-        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
-        self._pool = urllib3.PoolManager(maxsize=connections, retries=False, timeout=timeout)
+        self._pool = open_connections(connections)
 
     def close(self) -> None:
         """Close the connections."""
         self._pool.clear()
 
-    def put(self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[memoryview]) -> PutAnswer:
+    def put(self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[FileSlice]) -> PutAnswer:
         """PUT so many bytes, sent as they come from `body`."""
         headers = {**headers, "Content-Length": str(size_bytes)}
         try:
