@@ -34,8 +34,9 @@ from kleinkram.server.web.serving import app_page, wants_page
 
 _log = logging.getLogger("kleinkram.http")
 _LONGEST_ID = 36
-# Who says nothing of who they are can only sign in, which takes little.
+# Strangers can do little but sign in, which takes little; there, whatever comes with them proves nothing yet.
 _STRANGERS_BODY_BYTES = 64 * 1024
+_DOORS = "/api/v1/auth/"
 # What is said of one invalid request: to tell all that is wrong with a large one would keep everybody else waiting.
 _MOST_PROBLEMS = 100
 _MOST_CHARACTERS = 1000
@@ -79,7 +80,8 @@ class Envelope:
 
     async def _bounded(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
         limit = self._body_limit_bytes
-        if b"authorization" not in headers and b"cookie" not in headers:
+        is_nobody = b"authorization" not in headers and b"cookie" not in headers
+        if is_nobody or scope["path"].startswith(_DOORS):
             limit = min(limit, _STRANGERS_BODY_BYTES)
         request_id = scope["state"]["request_id"]
         declared = headers.get(b"content-length", b"0")
