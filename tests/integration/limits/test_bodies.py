@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 import urllib3
 
 from tests.integration.running import Api
@@ -14,8 +15,10 @@ def _post(api: Api, path: str, headers: dict[str, str]) -> urllib3.BaseHTTPRespo
     return urllib3.request("POST", f"{api.url}/api/v1{path}", headers=sent, body=_MANY_KEYS, timeout=30)
 
 
-def test_whoever_says_nothing_of_who_they_are_may_not_send_much(api: Api) -> None:
-    refused = _post(api, "/auth/password", {"Origin": api.url})
+@pytest.mark.parametrize("more", [{}, {"Cookie": "kleinkram=nobody's"}, {"Authorization": "Bearer nobody's"}])
+@pytest.mark.parametrize("path", ["/auth/password", "/auth/device"])
+def test_who_signs_in_may_not_send_much(api: Api, path: str, more: dict[str, str]) -> None:
+    refused = _post(api, path, more)
     assert refused.status == 413
     assert refused.json()["limit_bytes"] == 64 * 1024
 
