@@ -15,7 +15,7 @@ const INSIDE = (detail: string) => (detail === "" ? "" : ` (${detail})`);
 export const failures: Readonly<Record<FailureCode, Told>> = {
   no_index: {
     title: () => "This recording has no index: it was never closed, or its end is missing",
-    remedy: "Finding anything in it takes reading all of it. Download it, and mend it with `klein inspect` or your own tools.",
+    remedy: "Finding anything in it takes reading all of it. Download it to look at it with your own tools.",
   },
   not_readable_here: { title: () => "This file is not what its format says", remedy: DOWNLOAD },
   compression_unknown: { title: (detail) => `Its chunks are compressed in a way that is not read here${INSIDE(detail)}`, remedy: DOWNLOAD },
@@ -52,6 +52,11 @@ export const failures: Readonly<Record<FailureCode, Told>> = {
   cancelled: { title: () => "Reading was ended", remedy: "" },
 };
 
+/** Failures that may be gone when one tries again. */
+export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
+  "store_unreachable", "store_refused", "file_changed", "link_refused", "worker_ended", "worker_silent", "cancelled",
+]);
+
 /** Why files of a format cannot be looked into; null for formats that can. */
 export function whyNot(format: string | null): string | null {
   if (format === "mcap" || format === "rosbag1") return null;
@@ -65,7 +70,6 @@ export const texts = {
   title: "First look",
   topic: "Topic",
   noTopics: "This recording holds no message.",
-  opening: "Opening the recording",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
   readTitle: "What this page has fetched of the file, straight from the store",
   pictureOf: (topic: string, seconds: string, width: number, height: number) => `Picture of ${topic} at ${seconds}, ${width} by ${height} pixels`,
@@ -82,15 +86,12 @@ export const texts = {
   noFields: "Messages of this topic hold no numbers to plot.",
   hidden: (count: number) => `and ${count} more`,
   mostFields: (count: number) => `At most ${count} at once.`,
-  chooseFields: "Choose a field to plot it.",
-  drawing: "Reading",
   cancel: "Cancel",
   again: "Try again",
   partial: (seconds: string, whole: number) => `This is the beginning, up to ${seconds}. All of it needs ${formatSize(whole)} to be read.`,
   readAll: (whole: number) => `Read all ${formatSize(whole)}`,
   points: (messages: number, isWhole: boolean) =>
     isWhole ? `${counted(messages, "message")}, every one drawn` : `${counted(messages, "message")}, drawn by the least and greatest of each instant`,
-  none: "–",
   curve: (field: string, least: string, greatest: string) => `${field} from ${least} to ${greatest}`,
   plotOf: (topic: string, curves: string) => `Plot of ${topic} over time: ${curves}`,
   zoom: "Drag to look closer, double-click to go back.",

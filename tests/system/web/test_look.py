@@ -1,0 +1,115 @@
+"""A first look in a real browser: the picture that was recorded is seen, and the curve that was recorded is drawn."""
+
+import base64
+import csv
+import io
+import itertools
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kleinkram.recordings.decoding import image
+from kleinkram.recordings.reading import Recording
+from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
+from kleinkram.server.web.serving import BUILT
+from tests.acceptance.conftest import wait_until
+from tests.system.conftest import missing
+from tests.system.house import House
+
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_WEB = Path(__file__).parents[3] / "web"
+_NAMES = ("drive.mcap", "drive.bag", "cut.mcap")
+_MCAP_BYTES, _BAG_BYTES = 60_000_000, 10_000_000
+# JPEG decoders may round differently.
+_ROUNDING = 2
+_MOST_SHARE = 0.05
+
+
+@pytest.fixture
+def browser() -> str:
+    """The program of a browser, where there are also its driver and the built app."""
+    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+    if found is None or shutil.which("node") is None:
+        missing("no Chromium or no Node is installed")
+    if not (_WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
+        missing("the web interface is not built: `make setup` builds it")
+    return str(found)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_a_first_look(house: House, browser: str, tmp_path: Path) -> None:
+    house.start()
+    day = tmp_path / "day"
+    day.mkdir()
+    mcap = generate_mcap(day / "drive.mcap", size_bytes=_MCAP_BYTES)
+    bag = generate_bag(day / "drive.bag", size_bytes=_BAG_BYTES)
+    with (day / "drive.mcap").open("rb") as whole:
+        (day / "cut.mcap").write_bytes(whole.read(_BAG_BYTES))
+    terminal = house.terminal
+    terminal.run("project", "create", "Alps")
+    terminal.run("upload", "-p", "Alps", "-m", "day", "--create", f"{day}/")
+
+    def files() -> dict[str, dict[str, Any]]:
+        return {file["path"]: file for file in terminal.run("file", "list", "-p", "Alps", "--json").json()["items"]}
+
+    wait_until(lambda: all(file["content"] != "pending" for file in files().values()), "the files to be read")
+    known = files()
+    assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered"]
+    link = terminal.run("session", "link").out.strip()
+    script = Path(__file__).parent / "look.mjs"
+    places = [str(_WEB), browser, link, f"http://127.0.0.1:{house.port}"]
+    command = ["node", str(script), *places, *(known[name]["id"] for name in _NAMES)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout)
+
+    assert seen["complaints"] == []
+    pictures = _pictures(mcap.path)
+    _assert_same(seen["mcap"], pictures[0])
+    _assert_same(seen["next"], pictures[1])
+    later = next(each for each in pictures if each[0] >= pictures[1][0] // 1_000_000 * 1_000_000 + 1_000_000_000)
+    _assert_same(seen["second"], later)
+    assert "t=1." in seen["address"]
+    _assert_same(seen["bag"], _pictures(bag.path)[0])
+    assert seen["mcap"]["bytesRead"] < _MOST_SHARE * _MCAP_BYTES
+    _assert_curves(seen["imu"]["csv"], mcap, "/imu/data", "linear_acceleration", "xyz")
+    _assert_curves(seen["odom"]["csv"], bag, "/odom", "pose.pose.position", "xy")
+    assert "Read all 60." in seen["imu"]["asked"], "more than is read without asking"
+    assert seen["odom"]["asked"] is None
+    assert seen["imu"]["label"].startswith("Plot of /imu/data over time: linear_acceleration.x from -0.")
+    assert "has no index" in seen["cut"]
+
+
+def _pictures(path: Path) -> list[tuple[int, Any]]:
+    with Recording.open(path) as recording:
+        messages = recording.messages("/camera/image/compressed")
+        return [(message.log_time_ns, image(message.value)[:, :, 0]) for message in itertools.islice(messages, 20)]
+
+
+def _assert_same(seen: dict[str, Any], truth: tuple[int, Any]) -> None:
+    log_time_ns, pixels = truth
+    assert int(seen["logTime"]) == log_time_ns
+    grey = np.frombuffer(base64.b64decode(seen["grey"]), np.uint8).reshape(seen["height"], seen["width"])
+    assert grey.shape == pixels.shape
+    assert int(np.abs(grey.astype(int) - pixels.astype(int)).max()) <= _ROUNDING
+    assert int(grey.max()) - int(grey.min()) > 100, "a disc over a gradient, not one colour"
+
+
+def _assert_curves(text: str, truth: FileTruth, topic: str, field: str, axes: str) -> None:
+    head, *rows = csv.reader(io.StringIO(text))
+    assert head == [f"seconds since {truth.start_ns} ns", *(f"{field}.{axis}" for axis in axes)]
+    assert len(rows) == next(each.count for each in truth.topics if each.name == topic)
+    with Recording.open(truth.path) as recording:
+        messages = list(recording.messages(topic))
+    for row, message in zip(rows, messages, strict=True):
+        value = message.value
+        for name in field.split("."):
+            value = getattr(value, name)
+        assert float(row[0]) == pytest.approx((message.log_time_ns - truth.start_ns) / 1e9, abs=1e-9)
+        assert [float(each) for each in row[1:]] == [getattr(value, axis) for axis in axes]
