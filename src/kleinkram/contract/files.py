@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.topics import Density
 
 
 class BlobState(str, enum.Enum):
@@ -118,7 +119,10 @@ class FileUpdate(BaseModel):
 
 
 class TopicRead(BaseModel):
-    """One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span."""
+    """One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
+
+    `density` is told in lists of one file, where it is known, and nowhere else.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -137,6 +141,7 @@ class TopicRead(BaseModel):
     tail_gap_ns: int | None
     out_of_order_count: int | None
     stored_bytes: int | None
+    density: Density | None = None
 
 
 class RecordingRead(BaseModel):

@@ -4,15 +4,20 @@ import datetime
 import uuid
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from kleinkram import connect
 from kleinkram.recordings.density import count_stamps, pack
-from tests.integration.jobs import run_jobs
+from kleinkram.recordings.sample import generate_mcap
+from kleinkram.server.recordings.service import regroup_forgotten
+from kleinkram.server.site import Site
+from tests.integration.jobs import on_site, run_jobs
 from tests.integration.running import Api
 from tests.integration.sample import Sample
+from tests.integration.uploading import upload_all
 
 T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -156,3 +161,36 @@ def test_a_link_to_some_files_shows_topics_of_these(api: Api, sample: Sample, mi
     found = api.as_(link["secret"]).get(f"/missions/{mission_id}/topics").ok()
     assert {(each["name"], each["count"]) for each in found["items"]} == {("/imu", 10), ("/a", 10)}
     assert [each["name"] for each in found["recordings"]] == ["a.mcap"]
+
+
+def test_a_file_says_how_densely_its_messages_lie(api: Api, sample: Sample, mission_id: str) -> None:
+    stamps = [T0 + number * S for number in range(1000)]
+    file_id = _put(sample, mission_id, "a.mcap", _times("/imu", stamps), _times("/old", stamps, density=None))
+    imu, old = api.all(f"/files/{file_id}/topics")
+    known = count_stamps(stamps)
+    assert imu["density"] == {"start_ns": known.start_ns, "bin_ns": known.bin_ns, "counts": [*known.counts]}
+    assert old["density"] is None
+    assert api.all("/topics", {"mission_id": mission_id})[0]["density"] is None
+
+
+def test_a_recording_that_is_uploaded_gets_its_density(api: Api, mission_id: str, tmp_path: Path) -> None:
+    generate_mcap(tmp_path / "a.mcap", size_bytes=1_000_000, seed=1)
+    upload_all(api, mission_id, {"a.mcap": (tmp_path / "a.mcap").read_bytes()})
+    run_jobs(api)
+    found = api.get(f"/missions/{mission_id}/topics").ok()
+    assert found["is_current"]
+    assert all(sum(each["counts"]) == each["count"] > 0 for each in found["items"])
+    assert len(found["items"]) > 1
+
+
+def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sample, mission_id: str) -> None:
+    _put(sample, mission_id, "a.mcap", _times("/imu", [T0, T0 + S]))
+    api.sql("UPDATE mission SET files_revision = 1, derived_revision = 1 WHERE id = %s", mission_id)
+
+    async def look_after(site: Site) -> None:
+        async with site.database.begin() as db:
+            await regroup_forgotten(db, limit=1000)
+
+    on_site(api, look_after)
+    run_jobs(api)
+    assert api.sql("SELECT revision FROM mission_topics WHERE mission_id = %s", mission_id) == [(1,)]

@@ -32,7 +32,7 @@ from kleinkram.server.db import among
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.search.topics import topic_rows
-from kleinkram.server.tables import blob, file, mission, person, project
+from kleinkram.server.tables import blob, file, mission, person, project, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 
@@ -162,8 +162,8 @@ def file_order(sort: FileSort) -> Order:
 
 
 def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return the topics of one visible file."""
-    return topic_rows(visible_files(actor).where(file.c.id == file_id))
+    """Return the topics of one visible file, and how densely their messages lie."""
+    return topic_rows(visible_files(actor).where(file.c.id == file_id)).add_columns(topic.c.density)
 
 
 def change_file(file_id: uuid.UUID, **values: object) -> Update:

@@ -26,7 +26,7 @@ from kleinkram.server.tables import mission_topic
 
 # Of one mission; the first ones by name.
 MOST_TOPICS = 20_000
-_FETCHED_AT_ONCE = 500
+_FETCHED_AT_ONCE = 2_000
 _MAX_BIGINT = 2**63 - 1
 
 
@@ -103,8 +103,9 @@ async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequenc
 async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row[Any]]:
     result = await db.stream(statement.execution_options(yield_per=_FETCHED_AT_ONCE))
     try:
-        async for row in result:
-            yield row
+        async for rows in result.partitions():
+            for row in rows:
+                yield row
     finally:
         await result.close()
 

@@ -10,7 +10,10 @@ from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics
 from kleinkram.server.recordings import deriving
+from kleinkram.server.recordings.service import awaits_regrouping
 from kleinkram.server.recordings.understanding import Understanding
+
+_FEW_FILES = 50
 
 
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=PATIENTLY)
@@ -31,4 +34,6 @@ async def group_recordings(context: JobContext, ref: str) -> None:
         rows = await deriving.live_files(db, mission_id)
         await deriving.keep(db, mission_id, await deriving.derive(db, rows, stated), rows)
     async with site.database.begin() as db:
-        await keep_topics(db, mission_id)
+        # Of many files that takes a while: not for a state that is over already.
+        if len(rows) <= _FEW_FILES or not await awaits_regrouping(db, mission_id):
+            await keep_topics(db, mission_id)

@@ -13,7 +13,7 @@ from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.recordings import queries
-from kleinkram.server.tables import mission
+from kleinkram.server.tables import mission, mission_topics
 
 _WAITING = text(
     "SELECT 1 FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref LIMIT 1"
@@ -28,15 +28,23 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
     """
     changed = update(mission).where(mission.c.id == mission_id).values(files_revision=mission.c.files_revision + 1)
     await db.execute(changed)
-    waiting = await db.execute(_WAITING, {"task": Job.group_recordings.value, "ref": str(mission_id)})
-    if waiting.first() is None:
+    if not await awaits_regrouping(db, mission_id):
         await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon)
 
 
+async def awaits_regrouping(db: Connection, mission_id: uuid.UUID) -> bool:
+    """Say whether a job that derives a mission's recordings waits."""
+    waiting = await db.execute(_WAITING, {"task": Job.group_recordings.value, "ref": str(mission_id)})
+    return waiting.first() is not None
+
+
 async def regroup_forgotten(db: Connection, *, limit: int) -> None:
-    """See to missions whose recordings are not those of their files, and for which no job waits or runs."""
+    """See to missions whose recordings or topics are not those of their files, and for which no job waits or runs."""
+    current = select(mission_topics.c.mission_id).where(mission_topics.c.revision == mission.c.files_revision)
     stale = select(cast(mission.c.id, Text)).where(
-        mission.c.derived_revision != mission.c.files_revision, ~has_job(Job.group_recordings, mission.c.id)
+        (mission.c.derived_revision != mission.c.files_revision)
+        | ((mission.c.files_revision > 0) & ~current.where(mission_topics.c.mission_id == mission.c.id).exists()),
+        ~has_job(Job.group_recordings, mission.c.id),
     )
     ids = (await db.execute(stale.limit(limit))).scalars().all()
     await enqueue(db, Job.group_recordings, ids=ids, urgency=Urgency.whenever)

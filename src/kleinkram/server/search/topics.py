@@ -5,6 +5,8 @@ from typing import Any
 from sqlalchemy import Row, Select
 
 from kleinkram.contract.files import TopicRead
+from kleinkram.contract.topics import Density
+from kleinkram.recordings.density import unpack
 from kleinkram.server.pages import Order
 from kleinkram.server.tables import blob, file, topic
 
@@ -20,5 +22,9 @@ TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
 
 
 def to_topic(row: Row[Any]) -> TopicRead:
-    """Return the topic that a row of `topic_rows` stands for."""
-    return TopicRead.model_validate({name: row._mapping[name] for name in TopicRead.model_fields})
+    """Return the topic that a row of `topic_rows` stands for, with its density where the row has that too."""
+    said: dict[str, Any] = {name: row._mapping[name] for name in TopicRead.model_fields if name != "density"}
+    if row._mapping.get("density") is not None:
+        known = unpack(row.density)
+        said["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
+    return TopicRead.model_validate(said)
