@@ -8,10 +8,11 @@ is not written ahead: after a crash of the database all counts begin anew.
 import datetime
 import hashlib
 import ipaddress
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import delete, func
+from sqlalchemy import Row, delete, func
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import RateLimited
@@ -21,6 +22,9 @@ from kleinkram.server.settings import Settings
 from kleinkram.server.tables import rate_count
 
 WINDOW_S = 60
+# Beyond its free tries a minute an account is tried once in so long, each try in its turn, so many turns ahead.
+_TURN = datetime.timedelta(seconds=2)
+_TURNS_AHEAD = 15
 # Behind one address may be a whole lab.
 _PER_ADDRESS = 10
 _WINDOW = datetime.timedelta(seconds=WINDOW_S)
@@ -67,8 +71,39 @@ async def limit(database: Database, *counts: Count) -> None:
         RateLimited: there were more than `most` of one of them; says when it may be tried again.
     """
     held = {each.key: each for each in counts if each.most > 0}
+    for row in await _counted(database, held):
+        most = held[row.key].most
+        if row.asked > most:
+            raise RateLimited(what=held[row.key].what, most=most, per_s=WINDOW_S, retry_after_s=max(1, int(row.left_s)))
+
+
+async def turn_of(database: Database, count: Count) -> float:
+    """Count one more, and return for how many seconds it has to wait: none for the first `most` in a window.
+
+    The others take turns, whoever asks, so that many who ask at once are held up and none of them is sent away before
+    the turns of the next half minute are taken.
+
+    Raises:
+        RateLimited: they are.
+    """
+    held = {count.key: count} if count.most > 0 else {}
+    if all(row.asked <= count.most for row in await _counted(database, held)):
+        return 0.0
+    waits_s = func.extract("epoch", rate_count.c.window_start - func.now())
+    async with database.begin() as db:
+        for ahead in range(1, _TURNS_AHEAD + 1):
+            begins = func.date_bin(_TURN, func.now(), _EPOCH) + ahead * _TURN
+            turn = upsert(rate_count).values(key=f"turn of {count.key}", window_start=begins, count=1)
+            taken = await db.execute(turn.on_conflict_do_nothing().returning(waits_s))
+            if (row := taken.one_or_none()) is not None:
+                return max(0.0, float(row[0]))
+    retry_after_s = int(_TURNS_AHEAD * _TURN.total_seconds())
+    raise RateLimited(what=count.what, most=count.most, per_s=WINDOW_S, retry_after_s=retry_after_s)
+
+
+async def _counted(database: Database, held: Mapping[str, Count]) -> Sequence[Row[Any]]:
     if not held:
-        return
+        return []
     window = func.date_bin(_WINDOW, func.now(), _EPOCH)
     # In the order of their keys, so that two who count the same never wait for each other.
     rows = [{"key": key, "window_start": window, "count": 1} for key in sorted(held)]
@@ -79,11 +114,7 @@ async def limit(database: Database, *counts: Count) -> None:
     left_s = func.ceil(func.extract("epoch", rate_count.c.window_start + _WINDOW - func.now()))
     async with database.begin() as db:
         counted = rate_count.c.count.label("asked")
-        found = (await db.execute(statement.returning(rate_count.c.key, counted, left_s.label("left_s")))).all()
-    for row in found:
-        most = held[row.key].most
-        if row.asked > most:
-            raise RateLimited(what=held[row.key].what, most=most, per_s=WINDOW_S, retry_after_s=max(1, int(row.left_s)))
+        return (await db.execute(statement.returning(rate_count.c.key, counted, left_s.label("left_s")))).all()
 
 
 def counts_of(actor: Actor, what: str, most: int) -> list[Count]:

@@ -204,7 +204,8 @@ class Settings(BaseSettings):
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
     sign_ins_per_minute: Annotated[
-        PerMinute, Field(description="Tries to sign in, for one address and for one account; 0: any number.")
+        PerMinute,
+        Field(description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any."),
     ] = 10
     searches_per_minute: Annotated[
         PerMinute,

@@ -4,11 +4,15 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.errors import RateLimited
 from kleinkram.contract.rights import Right
+from kleinkram.server import rates
+from kleinkram.server.site import Site
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import USER_AGENT, Browser
 from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
 from tests.integration.running import Api
 
 OTHER_PASSWORD = "a wholly different one"
@@ -197,7 +201,7 @@ def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
     sign_in(Browser(api), made.email)
 
 
-def test_guessing_is_slowed_down_for_an_account_and_an_address_whether_it_is_there_or_not(start_api: StartApi) -> None:
+def test_guessing_is_refused_to_an_address_whether_it_is_there_or_not(start_api: StartApi) -> None:
     api = start_api(sign_ins_per_minute=3)
     tries = [
         Browser(api).post("/auth/password", {"email": "nobody@lab.example", "password": f"guess number {number}"})
@@ -206,6 +210,40 @@ def test_guessing_is_slowed_down_for_an_account_and_an_address_whether_it_is_the
     assert [answer.status for answer in tries] == [401, 401, 401, 429, 429]
     assert tries[-1].refused(429, "rate_limited")["what"] == "sign-ins"
     assert int(tries[-1].headers["retry-after"]) >= 1
+
+
+def _guess(api: Api, email: str, password: str, address: str) -> int:
+    headers = {"Origin": api.app.state.settings.public_origin, "X-Forwarded-For": address}
+    body = {"email": email, "password": password}
+    return api.as_(None).call("POST", "/auth/password", body, headers=headers).status
+
+
+def test_nobody_locks_an_account_for_its_owner(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rates, "_WINDOW", rates._WINDOW * 60 * 24 * 365)
+    api = start_api(sign_ins_per_minute=2, trusted_proxies=["127.0.0.1/32"])
+    made = account(api)
+    thief = [_guess(api, made.email, f"guess number {number}", "203.0.113.9") for number in range(4)]
+    assert thief == [401, 401, 429, 429]
+    assert _guess(api, made.email, PASSWORD, "198.51.100.1") == 200
+
+
+def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rates, "_WINDOW", rates._WINDOW * 60 * 24 * 365)
+    monkeypatch.setattr(rates, "_TURN", rates._TURN * 1000)
+    monkeypatch.setattr(rates, "_TURNS_AHEAD", 3)
+    waits: list[float] = []
+    email = any_email()
+
+    async def ask(site: Site) -> None:
+        while True:
+            waits.append(await rates.turn_of(site.database, rates.Count("sign-ins", email, 2)))
+
+    with pytest.raises(RateLimited):
+        on_site(start_api(), ask)
+    assert waits[:2] == [0, 0]
+    assert [round(waited - waits[2]) for waited in waits[2:]] == [0, 2000, 4000]
 
 
 def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: StartApi) -> None:

@@ -1,5 +1,6 @@
 """What a route that signs a browser in works with, and how it ends: a new session in the answer's cookie."""
 
+import asyncio
 import uuid
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,8 +18,11 @@ from kleinkram.server.auth.providers import Providers
 from kleinkram.server.auth.sessions import begin_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings
-from kleinkram.server.rates import Count, limit, neighbourhood
+from kleinkram.server.rates import Count, limit, neighbourhood, turn_of
 from kleinkram.server.settings import Settings
+
+# From so many addresses at once may an account be tried as often as each may try, before tries take turns.
+_ADDRESSES = 3
 
 
 @dataclass(frozen=True)
@@ -45,13 +49,16 @@ class Door:
     async def count_try(self, account: str | None = None) -> None:
         """Count a try to sign in: for the address that it comes from, and for the account, whether there is one or not.
 
+        One address is refused; an account that is tried from several is slowed down, so that none of them locks it.
+
         Raises:
             RateLimited: there were too many within a minute.
         """
         most = self.settings.sign_ins_per_minute
-        whose = [account.lower()] if account else []
-        where = [neighbourhood(self.asker.address)] if self.asker.address else []
-        await limit(self.database, *(Count("sign-ins", who, most) for who in (*whose, *where)))
+        if self.asker.address:
+            await limit(self.database, Count("sign-ins", neighbourhood(self.asker.address), most))
+        if account:
+            await asyncio.sleep(await turn_of(self.database, Count("sign-ins", account.lower(), _ADDRESSES * most)))
 
     async def hash(self, password: str, *, code: str) -> str:
         """Hash a new password, which takes a good code; that stays good.
