@@ -90,6 +90,7 @@ export const texts = {
   } as Readonly<Partial<Record<FileState, string>>>,
   drop: {
     title: "Drop a folder or files here",
+    titleOnPhone: "Choose the files to upload",
     hint: "A folder keeps its tree, so the files of one recording stay together.",
     folder: "Choose a folder",
     files: "Choose files",
@@ -141,6 +142,7 @@ export const texts = {
     further: (count: number) => `${counted(count, "more file")} will follow.`,
     signedOut: "Your session has ended. Sign in again and it goes on.",
     elsewhere: "Another tab of this browser is uploading into this mission. Add these files there, or try again when it is done.",
+    incomplete: "incomplete",
     failed: "It stopped; what was sent is kept.",
     over: (count: number) => `All ${counted(count, "file")} are there.`,
     overOne: "The file is there.",
@@ -152,6 +154,7 @@ export const texts = {
     size: "Size",
     state: "State",
     sent: "Sent",
+    read: (share: string) => `${share} read`,
     count: (state: string, count: number) => `${count} ${state}`,
     reason: "Why it was not uploaded",
     hashThere: "There",

@@ -86,7 +86,9 @@ export function usePlace(): PlaceChoice {
   const problem = ref<Problem | null>(null);
   const asked = useRoute().query;
   const [mission, project] = [asked.mission, asked.project].map((each) => (typeof each === "string" ? each : ""));
-  preselect(mission ?? "", project ?? "").catch((thrown: unknown) => (problem.value = toProblem(thrown)));
+  const isPreselected = preselect(mission ?? "", project ?? "").catch((thrown: unknown) => {
+    problem.value = toProblem(thrown);
+  });
   const isThere = computed(() => form.projectId !== "" && form.projectId !== NEW);
 
   const projects = useQuery({
@@ -161,6 +163,7 @@ export function usePlace(): PlaceChoice {
   }
 
   async function settle(): Promise<MissionPlace | null> {
+    await isPreselected;
     isShown.value = true;
     problem.value = null;
     const isFormGood = form.missionId !== NEW || judge(fields.value, form.values).length === 0;

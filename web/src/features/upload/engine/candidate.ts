@@ -52,11 +52,11 @@ export class Candidate {
     return { path, size_bytes: identity.sizeBytes, sha256: this.sha256, upload_id: this.uploadId };
   }
 
-  /** Read all of the file for its checksums; `passed` may hold or end it between two slices. @throws FileFailure */
-  async hashWhole(hashing: Hashing, passed: () => Promise<void>): Promise<void> {
+  /** Read all of the file for its checksums; `read` hears of each slice and may hold or end it. @throws FileFailure */
+  async hashWhole(hashing: Hashing, read: (sizeBytes: number) => Promise<void>): Promise<void> {
     hashing.beginWhole();
     for await (const bytes of slices(this.planned, 0, this.planned.identity.sizeBytes)) {
-      await passed();
+      await read(bytes.length);
       hashing.addToWhole(bytes);
     }
     this.sums = hashing.endWhole();

@@ -21,6 +21,7 @@ interface Line {
   readonly sizeBytes: number;
   state: FileState;
   doneBytes: number;
+  readBytes: number;
   fileId: string | null;
   failure: Failure | null;
 }
@@ -35,7 +36,8 @@ export class Ledger implements Watcher {
 
   constructor(files: readonly PlannedFile[]) {
     for (const { path, identity } of files) {
-      const line: Line = { path, sizeBytes: identity.sizeBytes, state: "waiting", doneBytes: 0, fileId: null, failure: null };
+      const { sizeBytes } = identity;
+      const line: Line = { path, sizeBytes, state: "waiting", doneBytes: 0, readBytes: 0, fileId: null, failure: null };
       this.lines.set(path, line);
       this.changed.add(line);
       this.totalBytes += identity.sizeBytes;
@@ -46,6 +48,13 @@ export class Ledger implements Watcher {
     const line = this.line(path);
     if (line.state === state) return;
     line.state = state;
+    this.changed.add(line);
+  }
+
+  read(path: string, sizeBytes: number): void {
+    const line = this.line(path);
+    line.state = "reading";
+    line.readBytes = sizeBytes === 0 ? 0 : line.readBytes + sizeBytes;
     this.changed.add(line);
   }
 

@@ -25,6 +25,7 @@ export class Meter {
 
   /** Return the rate now, and how long `leftBytes` take at it; null where too little is known. */
   at(nowMs: number, leftBytes: number): Rate {
+    if (this.sent === 0) return { bytesPerS: null, leftS: null }; // it still reads: that says nothing of sending
     this.samples.push({ atMs: nowMs, bytes: this.sent });
     while (this.samples.length > 2 && (this.samples[1]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.samples.shift();
     const first = this.samples[0];

@@ -75,6 +75,8 @@ export interface FileProgress {
   readonly state: FileState;
   readonly sizeBytes: number;
   readonly doneBytes: number;
+  /** Of a file that is being read before it is sent. */
+  readonly readBytes: number;
   readonly fileId: string | null;
   readonly failure: Failure | null;
 }

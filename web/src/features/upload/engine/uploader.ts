@@ -123,8 +123,12 @@ export class Uploader {
 
   private async hashWhole(candidate: Candidate): Promise<void> {
     const { hashing, watcher, around } = this.parts;
-    watcher.state(candidate.planned.path, "reading");
-    await candidate.hashWhole(hashing, () => around.gate.passed());
+    const { path } = candidate.planned;
+    watcher.read(path, 0);
+    await candidate.hashWhole(hashing, (sizeBytes) => {
+      watcher.read(path, sizeBytes);
+      return around.gate.passed();
+    });
   }
 
   private async writeDown(asking: readonly Candidate[], decisions: readonly UploadDecision[]): Promise<void> {

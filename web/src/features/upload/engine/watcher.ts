@@ -4,6 +4,8 @@ import type { Failure, FileState, Trouble } from "./nouns";
 
 export interface Watcher {
   state(path: string, state: FileState): void;
+  /** So many more bytes were read for the checksums of the whole, before anything is sent; 0 begins anew. */
+  read(path: string, sizeBytes: number): void;
   /** So many more bytes are at the store; negative when they must be sent again. */
   moved(path: string, sizeBytes: number): void;
   /** So many bytes need not be sent: the other side has them. */
