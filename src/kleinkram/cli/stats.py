@@ -14,6 +14,7 @@ from kleinkram.cli.units import size
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.stats import StatsRead, StatsRow
 
+_GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
 _NS_PER_HOUR = 3600 * 1_000_000_000
 
 
@@ -22,7 +23,7 @@ def stats(
     choice: Choice,
     by: Annotated[
         str,
-        typer.Option("--by", metavar="GROUP", help="project, mission, topic, type, month, format or metadata.FIELD."),
+        typer.Option("--by", metavar="GROUP", help="project, mission, topic, type, month, format or a metadata FIELD."),
     ] = "project",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV on stdout.")] = False,
     as_json: AsJson = False,
@@ -31,7 +32,7 @@ def stats(
     if as_csv and as_json:
         raise InvalidInput(what="The command", reason="say --csv or --json, not both")
     with connect() as client:
-        found = client.stats.get(by, file_filter(client, choice))
+        found = client.stats.get(_grouping(by), file_filter(client, choice))
     if as_json:
         show_json(found)
     elif as_csv:
@@ -39,6 +40,11 @@ def stats(
     else:
         rows = [_row(row.group or "(none)", row) for row in found.rows]
         table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", found.total)])
+
+
+def _grouping(by: str) -> str:
+    """Return how to group; what is no group by itself is the name of a field."""
+    return by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
 
 
 def _row(group: str, row: StatsRow) -> tuple[object, ...]:

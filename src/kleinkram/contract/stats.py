@@ -1,6 +1,8 @@
 """Statistics: the numbers that a paper quotes, grouped as asked."""
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class StatsRow(BaseModel):
@@ -28,3 +30,41 @@ class StatsRead(BaseModel):
     by: str
     rows: list[StatsRow]
     total: StatsRow
+
+
+MAX_BUCKETS = 200
+
+# Buckets that are told each by itself; what is left of other values than times and numbers is one more.
+Buckets = Annotated[int, Field(ge=1, le=MAX_BUCKETS)]
+
+
+class Bucket(BaseModel):
+    """Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
+
+    All three are null for what has no such time or value.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    value: str | None
+    low: float | None = None
+    high: float | None = None
+    stats: StatsRow
+
+
+class Overview(BaseModel):
+    """What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
+
+    Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
+    for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
+    topics; null for who is shown less than whole missions.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    by: str
+    unit: str | None
+    buckets: list[Bucket]
+    other: StatsRow | None
+    total: StatsRow
+    topics: int | None

@@ -62,6 +62,8 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "list_missions": _LISTED,
     "update_mission": (*_METADATA, QuotaExceeded),
     "list_recordings": (InvalidCursor,),
+    "get_project_stats": (InvalidQuery, RateLimited),
+    "get_overview": (InvalidQuery, RateLimited),
     "list_mission_topics": (InvalidCursor,),
     "get_mission_timeline": (InvalidCursor,),
     "list_files": _LISTED,

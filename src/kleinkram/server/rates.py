@@ -34,6 +34,8 @@ _EXPENSIVE = {
     "search": "searches",
     "get_facets": "searches",
     "get_stats": "searches",
+    "get_project_stats": "searches",
+    "get_overview": "searches",
     "list_topics": "searches",
     "download_files": "downloads",
     "begin_uploads": "uploads",

@@ -61,6 +61,14 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     ),
     "delete_mission": (Caller(delete("/missions/{mission}", dry_run="true"), About.mission),),
     "list_recordings": (Caller(get("/missions/{mission}/recordings"), About.mission),),
+    "get_project_stats": (Caller(get("/projects/{project}/stats"), About.project),),
+    "get_overview": (
+        Caller(
+            get("/overview", project_id="{project}"),
+            About.file,
+            shows=lambda found, _: found["total"]["files"] > 0,
+        ),
+    ),
     "list_mission_topics": (Caller(get("/missions/{mission}/topics"), About.mission),),
     "get_mission_timeline": (Caller(get("/missions/{mission}/timeline"), About.mission),),
     "get_recording": (Caller(get("/recordings/{recording}"), About.file),),

@@ -71,6 +71,8 @@ OPERATIONS: dict[str, Need] = {
     "delete_mission": Need(On.mission, Right.delete, _WRITE),
     "list_recordings": Need(On.mission, Right.read, _READ, guests=True),
     "get_recording": Need(On.mission, Right.read, _READ, guests=True),
+    "get_project_stats": Need(On.project, Right.read, _READ, guests=True),
+    "get_overview": _seen(),
     "list_mission_topics": Need(On.mission, Right.read, _READ, guests=True),
     "get_mission_timeline": Need(On.mission, Right.read, _READ, guests=True),
     # Files

@@ -3,7 +3,7 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import BigInteger, Row, Select, Uuid, and_, column, func, literal, select, true
+from sqlalchemy import BigInteger, Row, Select, Uuid, and_, column, distinct, func, literal, select, true
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 from sqlalchemy.sql.dml import ReturningInsert
 
@@ -135,3 +135,12 @@ def kept_topics(mission_id: uuid.UUID) -> Select[Any]:
 
 # By name and type, which the id follows within a name: rows are written in that order.
 KEPT_ORDER = Order([mission_topic.c.name, mission_topic.c.id])
+
+
+def topic_count(actor: Actor, project_id: uuid.UUID | None) -> Select[Any]:
+    """Return how many topics of different names the visible missions have, of one project or of all."""
+    stmt = visible_missions(actor).with_only_columns(
+        func.count(distinct(mission_topic.c.name)), maintain_column_froms=True
+    )
+    stmt = stmt.join(mission_topic, mission_topic.c.mission_id == mission.c.id)
+    return stmt if project_id is None else stmt.where(mission.c.project_id == project_id)

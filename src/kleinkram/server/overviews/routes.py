@@ -4,11 +4,13 @@ import uuid
 
 from fastapi import APIRouter
 
+from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor
+from kleinkram.contract.stats import Buckets, Overview
 from kleinkram.contract.timelines import MAX_TIMELINE_FILES, MissionTimeline, TimelineSize
 from kleinkram.contract.topics import Bins, MissionTopics, MissionTopicsSize
 from kleinkram.server.dependencies import CurrentActor, Transaction
-from kleinkram.server.overviews import service, topics
+from kleinkram.server.overviews import service, stats, topics
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["overviews"])
@@ -38,3 +40,26 @@ async def list_mission_topics(
     """List the topics of all recordings of a mission, by name and type, with their messages in at most `bins` bins."""
     page = PageRequest(limit, cursor)
     return await topics.list_mission_topics(db, actor, mission_id=mission_id, bins=bins, page=page)
+
+
+@router.get("/projects/{project_id}/stats", operation_id="get_project_stats")
+async def get_project_stats(
+    project_id: uuid.UUID, db: Transaction, actor: CurrentActor, by: Term = "month", most: Buckets = 20
+) -> Overview:
+    """Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field."""
+    return await stats.get_project_stats(db, actor, project_id=project_id, by=by, most=most)
+
+
+@router.get("/overview", operation_id="get_overview")
+async def get_overview(
+    db: Transaction,
+    actor: CurrentActor,
+    by: Term = "month",
+    most: Buckets = 20,
+    project_id: uuid.UUID | None = None,
+) -> Overview:
+    """Return what all that one may see amounts to, or of it what is in one project: by `month`, or by a metadata field.
+
+    Who has rights on single missions of a project sees what these amount to.
+    """
+    return await stats.get_overview(db, actor, project_id=project_id, by=by, most=most)
