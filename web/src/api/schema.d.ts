@@ -372,7 +372,9 @@ export interface paths {
         put?: never;
         /**
          * Reset Password
-         * @description Choose a new password by an admin's link; all other browsers are signed out.
+         * @description Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+         *
+         *     Those of robots and runners stay.
          */
         post: operations["reset_password"];
         delete?: never;
@@ -413,6 +415,29 @@ export interface paths {
          * @description Say how one may sign in here.
          */
         get: operations["list_sign_in_ways"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Watch Events
+         * @description Tell what changes, as it changes, of whatever you may see; and `refetch` where that may not be all.
+         *
+         *     `change` says noun, id and place, never contents. A comment comes every 15 s. When the stream ends, come back with
+         *     the id of the last event: what happened meanwhile follows. It ends within seconds of your session, token or account.
+         */
+        get: operations["watch_events"];
         put?: never;
         post?: never;
         delete?: never;
@@ -905,6 +930,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/missions/{mission_id}/topics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Mission Topics
+         * @description List the topics of all recordings of a mission, by name and type, with their messages in at most `bins` bins.
+         */
+        get: operations["list_mission_topics"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions/{mission_id}/uploads": {
         parameters: {
             query?: never;
@@ -923,6 +968,28 @@ export interface paths {
          * @description Say what you want to upload, and hear what to send.
          */
         post: operations["begin_uploads"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/overview": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Overview
+         * @description Return what all that one may see amounts to, or of it what is in one project: by `month`, or by a metadata field.
+         *
+         *     Who has rights on single missions of a project sees what these amount to.
+         */
+        get: operations["get_overview"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1207,6 +1274,26 @@ export interface paths {
          * @description Make a mission; its metadata must satisfy the project's fields.
          */
         post: operations["create_mission"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/stats": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Project Stats
+         * @description Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field.
+         */
+        get: operations["get_project_stats"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1650,6 +1737,21 @@ export interface components {
             person: components["schemas"]["PersonRef"];
         };
         /**
+         * Bucket
+         * @description Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
+         *
+         *     All three are null for what has no such time or value.
+         */
+        Bucket: {
+            /** High */
+            high?: number | null;
+            /** Low */
+            low?: number | null;
+            stats: components["schemas"]["StatsRow"];
+            /** Value */
+            value: string | null;
+        };
+        /**
          * ChecksumKind
          * @description How the store proves what it received, as found by the server's probe when it started.
          *
@@ -1781,6 +1883,21 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * Density
+         * @description How many messages lie where in time.
+         *
+         *     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
+         *     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
+         */
+        Density: {
+            /** Bin Ns */
+            bin_ns: number;
+            /** Counts */
+            counts: number[];
+            /** Start Ns */
+            start_ns: number;
+        };
+        /**
          * Departure
          * @description What ended when somebody was deactivated, and the projects that went to the admins for want of another owner.
          */
@@ -1908,7 +2025,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -2700,6 +2817,65 @@ export interface components {
             start_ns: number | null;
         };
         /**
+         * MissionTopic
+         * @description One topic with one type, in all recordings of a mission.
+         *
+         *     `other_types` are those under which the mission has the same topic too: a conflict. `count` is null where a file
+         *     does not say its own. `rate_hz` is that while recordings lasted, and `longest_gap_ns` the longest silence inside of
+         *     one: between two recordings nobody listened. `counts` are by the bins of `axis`; null where no file that has the
+         *     topic was read since densities are kept, and adding up to less than `count` where only some were. `recordings` are
+         *     those that have messages of it, as ranges `[first, last]` (both inclusive) of places in the answer's `recordings`.
+         */
+        MissionTopic: {
+            /** Count */
+            count: number | null;
+            /** Counts */
+            counts: number[] | null;
+            /** File Count */
+            file_count: number;
+            /** First Ns */
+            first_ns: number | null;
+            /** Last Ns */
+            last_ns: number | null;
+            /** Longest Gap Ns */
+            longest_gap_ns: number | null;
+            /** Message Type */
+            message_type: string | null;
+            /** Name */
+            name: string;
+            /** Other Types */
+            other_types: (string | null)[];
+            /** Rate Hz */
+            rate_hz: number | null;
+            /** Recording Count */
+            recording_count: number;
+            /** Recordings */
+            recordings: [
+                number,
+                number
+            ][];
+            /** Stored Bytes */
+            stored_bytes: number | null;
+        };
+        /**
+         * MissionTopics
+         * @description A page of the topics of a mission, by name and type.
+         *
+         *     `axis` spans the mission without recordings from before 1990; null where no times are known. `recordings` are in
+         *     the order of time. `is_current` says whether this follows from today's files; if not, it soon will.
+         */
+        MissionTopics: {
+            axis: components["schemas"]["TimeAxis"] | null;
+            /** Is Current */
+            is_current: boolean;
+            /** Items */
+            items: components["schemas"]["MissionTopic"][];
+            /** Next */
+            next?: string | null;
+            /** Recordings */
+            recordings: components["schemas"]["RecordingRef"][];
+        };
+        /**
          * MissionUpdate
          * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
          *
@@ -2751,6 +2927,26 @@ export interface components {
             expires_at: string;
             /** Url */
             url: string;
+        };
+        /**
+         * Overview
+         * @description What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
+         *
+         *     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
+         *     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
+         *     topics; null for who is shown less than whole missions.
+         */
+        Overview: {
+            /** Buckets */
+            buckets: components["schemas"]["Bucket"][];
+            /** By */
+            by: string;
+            other: components["schemas"]["StatsRow"] | null;
+            /** Topics */
+            topics: number | null;
+            total: components["schemas"]["StatsRow"];
+            /** Unit */
+            unit: string | null;
         };
         /** Page[AccessRead] */
         Page_AccessRead_: {
@@ -3214,6 +3410,19 @@ export interface components {
             surplus: string[];
         };
         /**
+         * RecordingRef
+         * @description A recording, as named beside what it holds.
+         */
+        RecordingRef: {
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Name */
+            name: string;
+        };
+        /**
          * Refused
          * @description This file cannot be uploaded; the others can.
          */
@@ -3486,7 +3695,6 @@ export interface components {
          * @description One group. `duration_ns` sums the recordings' spans; files in the trash do not count.
          *
          *     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are that group's own.
-         *     `topics` are the distinct names of topics of the missions; null where that is not told.
          */
         StatsRow: {
             /** Duration Ns */
@@ -3503,8 +3711,18 @@ export interface components {
             recordings: number;
             /** Size Bytes */
             size_bytes: number;
-            /** Topics */
-            topics?: number | null;
+        };
+        /**
+         * TimeAxis
+         * @description The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on.
+         */
+        TimeAxis: {
+            /** Bin Ns */
+            bin_ns: number;
+            /** Bins */
+            bins: number;
+            /** Start Ns */
+            start_ns: number;
         };
         /**
          * TimelineFile
@@ -3637,10 +3855,13 @@ export interface components {
         /**
          * TopicRead
          * @description One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
+         *
+         *     `density` is told in lists of one file, where it is known, and nowhere else.
          */
         TopicRead: {
             /** Count */
             count: number | null;
+            density?: components["schemas"]["Density"] | null;
             /**
              * File Id
              * Format: uuid
@@ -5773,6 +5994,87 @@ export interface operations {
             };
             /** @description A failure, by its code: scope_missing. */
             403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    watch_events: {
+        parameters: {
+            query?: {
+                /** @description The id of the last event that is known, as in Last-Event-ID. */
+                after?: string | null;
+                /** @description After how many seconds it ends. */
+                for_s?: number;
+            };
+            header?: {
+                "last-event-id"?: string | null;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Server-sent events. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/event-stream": string;
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: too_many_streams. */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -8542,6 +8844,86 @@ export interface operations {
             };
         };
     };
+    list_mission_topics: {
+        parameters: {
+            query?: {
+                bins?: number;
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionTopics"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_uploads: {
         parameters: {
             query?: {
@@ -8719,6 +9101,84 @@ export interface operations {
             };
             /** @description A failure, by its code: quota_exceeded. */
             507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_overview: {
+        parameters: {
+            query?: {
+                by?: string;
+                most?: number;
+                project_id?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Overview"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_query, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: rate_limited. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -10290,6 +10750,94 @@ export interface operations {
             };
             /** @description A failure, by its code: yaml_invalid, metadata_invalid, invalid_request. */
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_project_stats: {
+        parameters: {
+            query?: {
+                by?: string;
+                most?: number;
+            };
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Overview"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_query, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: rate_limited. */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
