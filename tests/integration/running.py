@@ -20,6 +20,7 @@ from fastapi import FastAPI
 from sqlalchemy import event
 
 from kleinkram.server.app import create_app
+from kleinkram.server.serving import ApiServer
 from kleinkram.server.settings import Settings
 from tests.integration.described import see_that_it_is_described
 
@@ -150,16 +151,15 @@ class Api:
 
 
 @contextmanager
-def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path) -> Iterator[Api]:
-    """Serve the API from a thread, on a free port of this machine."""
+def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: int = 0) -> Iterator[Api]:
+    """Serve the API from a thread, on a free port of this machine unless one is given."""
     token = secrets.token_hex(32)
     token_file = folder / f"token-{uuid.uuid4()}"
     token_file.write_text(token)
     app = create_app(Settings(**settings, owner_token_file=token_file))
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(
-        uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
-    )
+    listener = socket.create_server(("127.0.0.1", port))
+    config = uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
+    server = ApiServer(config, app)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="api")
     thread.start()
     database = psycopg.connect(admin_url, autocommit=True)

@@ -49,6 +49,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.CodeGone: ExitCode.timed_out,
     remote.ProviderUnavailable: ExitCode.unreachable,
     remote.RateLimited: ExitCode.unreachable,
+    remote.TooManyStreams: ExitCode.unreachable,
     remote.Forbidden: ExitCode.not_allowed,
     remote.ScopeMissing: ExitCode.not_allowed,
     remote.TokenTooWide: ExitCode.not_allowed,

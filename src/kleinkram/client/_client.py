@@ -9,6 +9,7 @@ from kleinkram.client._http import Api
 from kleinkram.client.access import Access
 from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
+from kleinkram.client.events import Events
 from kleinkram.client.files import Files
 from kleinkram.client.groups import Groups
 from kleinkram.client.me import Me
@@ -49,6 +50,7 @@ class Client:
         self.search = Search(api)
         self.audit = Audit(api)
         self.service = Service(api)
+        self.events = Events(api)
         self.me = Me(api)
 
     def __enter__(self) -> Self:

@@ -30,6 +30,8 @@ T = TypeVar("T", bound=BaseModel)
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
 PATIENCE_S = 4.0
+# Whoever follows events waits for longer than a server takes to start again.
+_RESTART_S = 60.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _TOO_OFTEN = 429
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
@@ -78,6 +80,26 @@ class Api:
                 yield self.understood(kind, f"GET {path}", line)
         except urllib3.exceptions.HTTPError as error:
             raise self._unreachable(error) from error
+        finally:
+            answer.close()
+
+    def events(self, path: str, *, after: str | None, for_s: float | None) -> Iterator[tuple[str, str]]:
+        """Yield a stream's events as (name, data), and their ids as ("id", id), until it ends or breaks off."""
+        answer = self._answer(
+            "GET", path, query=query_of(None, after=after, for_s=for_s), patience_s=_RESTART_S, whole=False
+        )
+        name = ""
+        try:
+            for line in _lines(answer):
+                field, _, value = line.partition(": ")
+                if field == "event":
+                    name = value
+                elif field == "id":
+                    yield "id", value
+                elif field == "data":
+                    yield name, value
+        except urllib3.exceptions.HTTPError:
+            return  # to be followed again from the last id
         finally:
             answer.close()
 
@@ -190,6 +212,14 @@ class Api:
         if isinstance(error, NotAuthenticated):
             error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)
         return remember_request(error, problem.request_id or request_id)
+
+
+def _lines(answer: urllib3.BaseHTTPResponse) -> Iterator[str]:
+    """Yield the lines of an answer, each as soon as it is there."""
+    rest = b""
+    for piece in answer.stream():
+        *lines, rest = (rest + piece).split(b"\n")
+        yield from (line.decode() for line in lines)
 
 
 def _whose(endpoint: Endpoint) -> str:

@@ -24,6 +24,7 @@ class ErrorCode(str, enum.Enum):
     code_gone = "code_gone"
     provider_unavailable = "provider_unavailable"
     rate_limited = "rate_limited"
+    too_many_streams = "too_many_streams"
     forbidden = "forbidden"
     scope_missing = "scope_missing"
     token_too_wide = "token_too_wide"  # noqa: S105  the code's name
@@ -179,6 +180,15 @@ class RateLimited(KleinkramError):
     most: int
     per_s: int
     retry_after_s: int
+
+
+@dataclass(eq=False)
+class TooManyStreams(KleinkramError):
+    """Your account has {most} streams of events open, which is all that it gets. Close a page, or a program."""
+
+    code = ErrorCode.too_many_streams
+    status = 429
+    most: int
 
 
 @dataclass(eq=False)

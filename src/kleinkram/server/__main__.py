@@ -13,6 +13,7 @@ from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
 
 _NICENESS = 10
+_NOT_STARTED = 3
 
 
 def main() -> None:
@@ -65,11 +66,12 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         import uvicorn
 
         from kleinkram.server.app import create_app
+        from kleinkram.server.serving import ApiServer
 
         app = create_app(settings)
     if arguments.when_told and not sys.stdin.readline():
         return  # who would have told has ended
-    uvicorn.run(
+    config = uvicorn.Config(
         app,
         host=arguments.host,
         port=arguments.port,
@@ -81,6 +83,11 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         proxy_headers=False,  # `proxies` decides whom to believe
         timeout_graceful_shutdown=10,
     )
+    server = ApiServer(config, app)
+    with contextlib.suppress(KeyboardInterrupt):
+        server.run()
+    if not server.started:
+        sys.exit(_NOT_STARTED)
 
 
 @contextlib.contextmanager

@@ -24,6 +24,8 @@ from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
 from kleinkram.server.dependencies import asks_who
+from kleinkram.server.events.hub import open_hub
+from kleinkram.server.events.routes import router as events
 from kleinkram.server.failures import described
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.grants.routes import router as grants
@@ -67,6 +69,7 @@ ROUTERS = (
     people,
     shares,
     audit,
+    events,
     auth,
     login_router,
     me_router,
@@ -93,7 +96,11 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = open_database(settings)
-        async with open_storage(settings) as store, open_providers(settings) as providers:
+        async with (
+            open_storage(settings) as store,
+            open_providers(settings) as providers,
+            open_hub(settings) as app.state.hub,
+        ):
             abilities = await probe(store)
             owner_token = await _read_owner_token(settings)
             async with database.begin() as db:

@@ -1,6 +1,6 @@
 """What a route may ask for in its signature: who asks, a transaction, the store. Only routes import this."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -73,12 +73,7 @@ async def _who(
     if credentials is None and cookie is None:
         raise NotAuthenticated(reason="the request has no bearer token")
     async with database.begin() as db:
-        if credentials is not None:
-            found = await find_actor(db, credentials.credentials)
-            if found is not None and found.kind is ActorKind.share and not await still_shares(db, found):
-                found = None
-        else:
-            found = await find_signed_in(db, str(cookie), idle_s=request.app.state.settings.session_idle_s)
+        found = await _carrier(request, db, credentials)
     if found is None and credentials is None and is_door:
         return STRANGER  # whoever's session has ended may sign in again
     if found is None:
@@ -86,6 +81,34 @@ async def _who(
     if credentials is None:
         refuse_foreign_page(request)
     return found
+
+
+async def _carrier(request: Request, db: Connection, credentials: HTTPAuthorizationCredentials | None) -> Actor | None:
+    settings: Settings = request.app.state.settings
+    if credentials is None:
+        cookie = request.cookies.get(session_cookie(settings), "")
+        return await find_signed_in(db, cookie, idle_s=settings.session_idle_s)
+    found = await find_actor(db, credentials.credentials)
+    if found is not None and found.kind is ActorKind.share and not await still_shares(db, found):
+        return None
+    return found
+
+
+def _find_again(
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+) -> Callable[[Connection], Awaitable[Actor | None]]:
+    """Return what finds out anew who asked, for an answer that lasts: None once they are nobody any more."""
+    operation: str = request.scope["route"].operation_id
+
+    async def find(db: Connection) -> Actor | None:
+        found = await _carrier(request, db, credentials)
+        address = request.client.host if request.client else None
+        return found and found.asking(operation, request_id=request.state.request_id, address=address)
+
+    return find
+
+
+FindAgain = Annotated[Callable[[Connection], Awaitable[Actor | None]], Depends(_find_again)]
 
 
 def session_cookie(settings: Settings) -> str:

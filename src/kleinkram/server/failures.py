@@ -36,6 +36,7 @@ from kleinkram.contract.errors import (
     SlowDown,
     StoreUnavailable,
     TokenTooWide,
+    TooManyStreams,
     UploadGone,
     YamlInvalid,
 )
@@ -133,6 +134,7 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "invite_person": (NameTaken, Forbidden),
     "create_reset_link": (NotFound, Forbidden),
     "list_audit_events": (InvalidCursor,),
+    "watch_events": (TooManyStreams,),
     "export_audit_events": (RateLimited,),
 }
 

@@ -43,6 +43,11 @@ _MOST_CHARACTERS = 1000
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
+def mark_as_stream(scope: Scope) -> None:
+    """Note that an answer lasts for as long as somebody listens: its time says nothing of how fast we are."""
+    scope["state"]["is_stream"] = True
+
+
 class Envelope:
     """ASGI middleware: names each request and where it is from, bounds its body, guards, logs and counts its answer."""
 
@@ -106,7 +111,8 @@ class Envelope:
         route = scope.get("route")
         path = getattr(route, "path", "unmatched")
         measures.REQUESTS.labels(scope["method"], path, str(status)).inc()
-        measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
+        if "is_stream" not in scope["state"]:
+            measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
         if path.startswith(("/health", "/metrics")) and status < 500:
             return
         shown = _shown(scope["path"])

@@ -88,8 +88,9 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "delete_file": (Caller(delete("/files/{file}", dry_run="true"), About.file),),
     "label_files": (
         Caller(
-            post("/files/labels", lambda by: {"file_ids": [by.things.file]}),
+            post("/files/labels", lambda by: {"file_ids": [by.things.file], "add": [new_name()]}),
             About.file,
+            undo=sets("UPDATE file SET labels = '{}' WHERE id = %s", "file"),
             outcome=lambda answer: (answer["items"][0]["problem"] or {"status": 200})["status"],
         ),
     ),
@@ -167,6 +168,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
             undo=_trash_again("project", "trashed_project"),
         ),
     ),
+    "watch_events": (Caller(get("/events", for_s="0"), About.server),),
     "list_audit_events": (Caller(get("/audit", project_id="{project}"), About.project, shows=has_items),),
     "export_audit_events": (
         Caller(get("/audit/export", project_id="{project}"), About.project, shows=lambda lines, _: bool(lines)),

@@ -85,6 +85,8 @@ def _ask(asked: Asked, case: Case[Any], who: str, *, is_known: bool) -> None:
     case.headers.pop("Authorization", None)
     if is_known:
         case.path_parameters.update({name: asked.known[name] for name in case.path_parameters if name in asked.known})
+    if case.operation.path == "/api/v1/events":
+        case.query["for_s"] = "0"  # what else it says is for whoever listens for longer
     response = case.call(base_url=asked.api.url, headers=dict(asked.askers[who]))
     if response.text == _NOT_HTTP:
         return

@@ -24,6 +24,7 @@ from sqlalchemy import (
     true,
     union_all,
 )
+from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from kleinkram.contract.rights import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
@@ -66,6 +67,27 @@ def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
     return _joined_files().where(*live, _reaches_file(actor, right))
+
+
+def reached_projects(actor: Actor) -> Select[Any]:
+    """Return the projects that `actor` may know of, in the trash too: to say that one changed, and nothing of it."""
+    return select(project).where(_reaches_project(actor, Right.read))
+
+
+def reached_missions(actor: Actor) -> Select[Any]:
+    """Return the missions that `actor` may know of, in the trash too, joined with their projects; for the same."""
+    stmt = select(mission).join(project, project.c.id == mission.c.project_id)
+    return stmt.where(_reaches_mission(actor, Right.read))
+
+
+def standing(actor: Actor) -> Select[Any]:
+    """Return a text that is another one as soon as what is granted to `actor`, or to everybody, is something else."""
+    mine = (access_grant.c.group_id == any_(_my_memberships(actor))) & unexpired(access_grant.c.expires_at)
+    place = func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
+    granted = select(func.concat(place, " ", access_grant.c.level).label("said")).where(mine)
+    public = select(func.concat(_public.c.id, " public").label("said")).where(_public.c.is_public)
+    said = union_all(granted, public).subquery().c.said
+    return select(func.md5(func.coalesce(func.string_agg(said, aggregate_order_by(literal(","), said)), "")))
 
 
 def trashed_projects(actor: Actor) -> Select[Any]:

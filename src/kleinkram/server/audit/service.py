@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from sqlalchemy import false, insert
 
 from kleinkram.contract.audit import AuditFilter, AuditRead
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.audit import queries
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
@@ -55,11 +57,28 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
     """Add many events to the record, as part of the caller's transaction.
 
     What an admin did is marked where they could not have done it by their own rights, as these are when it is recorded.
+    What changed by it is told to whoever listens, once the transaction is through.
     """
     if not events:
         return
     marked = queries.lacks_own_right(actor) if actor is not None and actor.is_admin else false()
     await db.execute(insert(audit_event).values(as_admin=marked), [_values(actor, event) for event in events])
+    await tell(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
+
+
+_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim"})
+_REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
+# What is only asked for, looked at or refused leaves all as it was.
+_NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})
+
+
+def _notice(actor: Actor | None, event: Event) -> Notice | None:
+    verb = event.operation.partition(".")[2]
+    if verb in _NO_CHANGE:
+        return None
+    kind = ChangeKind.created if verb in _CREATED else ChangeKind.removed if verb in _REMOVED else ChangeKind.changed
+    by_id = actor.person_id if actor is not None and event.project_id is None else None
+    return Notice(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id)
 
 
 def _values(actor: Actor | None, event: Event) -> dict[str, object]:

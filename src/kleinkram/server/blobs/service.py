@@ -9,11 +9,13 @@ from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, select, update
 
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary
 from kleinkram.recordings.density import pack
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.missions.service import lock_missions
@@ -131,6 +133,13 @@ async def _hold_missions(db: Connection, blob_id: uuid.UUID) -> None:
 async def _regroup_missions(db: Connection, blob_id: uuid.UUID) -> None:
     for mission_id in await _missions_of(db, blob_id):
         await regroup(db, mission_id)
+    await _tell_of_files(db, blob_id)
+
+
+async def _tell_of_files(db: Connection, blob_id: uuid.UUID) -> None:
+    made_of = select(file.c.id, file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None))
+    rows = await db.execute(made_of)
+    await tell(db, [Notice("file", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
 
 
 async def _missions_of(db: Connection, blob_id: uuid.UUID) -> list[uuid.UUID]:
@@ -142,11 +151,13 @@ async def keep_proof(db: Connection, blob_id: uuid.UUID, *, md5: bytes) -> None:
     """Keep that the server itself has read a blob and found its SHA-256."""
     values = {"state": BlobState.proven.value, "state_reason": None, "md5": md5, "proven_at": func.now()}
     await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+    await _tell_of_files(db, blob_id)
 
 
 async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> None:
     """Keep that a blob is lost or corrupt, and how that showed."""
     await db.execute(update(blob).where(blob.c.id == blob_id).values(state=state.value, state_reason=reason))
+    await _tell_of_files(db, blob_id)
 
 
 async def doom_unreferenced(db: Connection, *, limit: int) -> int:

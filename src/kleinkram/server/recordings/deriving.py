@@ -10,6 +10,7 @@ from typing import Any
 from sqlalchemy import ARRAY, Integer, Row, Uuid, bindparam, column, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
+from kleinkram.contract.events import ChangeKind
 from kleinkram.recordings import (
     Content,
     Depth,
@@ -26,6 +27,7 @@ from kleinkram.recordings import (
 )
 from kleinkram.recordings.rosbag2.folder import combine_folder
 from kleinkram.server.blobs.fitting import fit
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import blob, file, mission, recording, topic
 
@@ -202,6 +204,7 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
         .where(mission.c.id == mission_id)
         .values(start_ns=start_ns, end_ns=end_ns, derived_revision=mission.c.files_revision)
     )
+    await tell(db, [Notice("recording", ChangeKind.changed, mission_id=mission_id)])
 
 
 def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:

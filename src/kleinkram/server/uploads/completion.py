@@ -24,6 +24,7 @@ from kleinkram.contract.errors import (
     from_problem,
     to_problem,
 )
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -36,6 +37,7 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
@@ -182,7 +184,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
                 existing_file_id=str(there.id) if may_read else None,
             )
     made |= await _insert(db, actor, mission_id, fresh, existing)
-    await _close(db, made)
+    await _close(db, mission_id, made)
     return failures
 
 
@@ -255,7 +257,7 @@ def _blob_values(row: Row[Any], blob_id: uuid.UUID) -> dict[str, object]:
     }
 
 
-async def _close(db: Connection, made: Mapping[uuid.UUID, uuid.UUID]) -> None:
+async def _close(db: Connection, mission_id: uuid.UUID, made: Mapping[uuid.UUID, uuid.UUID]) -> None:
     if not made:
         return
     # What a blob does not use (the same bytes came in by another way) is cleaned by the sweep.
@@ -264,6 +266,7 @@ async def _close(db: Connection, made: Mapping[uuid.UUID, uuid.UUID]) -> None:
     values = {"state": UploadState.done.value, "file_id": bindparam("b_file_id")}
     await db.execute(statement.values(**values), [{"b_id": key, "b_file_id": value} for key, value in made.items()])
     await db.execute(update(upload).where(among(upload.c.id, made), kept).values(cleaned_at=func.now()))
+    await tell(db, [Notice("upload", ChangeKind.removed, each, mission_id=mission_id) for each in made])
 
 
 async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended: Failures) -> None:
@@ -278,7 +281,9 @@ async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended
     for upload_id, error in ended.items():
         failure = to_problem(error, actor.request_id).model_dump_json()
         values = {"state": UploadState.aborted.value, "failure": failure}
-        await db.execute(update(upload).where(upload.c.id == upload_id, completing).values(**values))
+        changed = update(upload).where(upload.c.id == upload_id, completing).values(**values)
+        rows = await db.execute(changed.returning(upload.c.id, upload.c.mission_id))
+        await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id) for row in rows])
 
 
 async def finish_stale(site: Site, *, older_than_s: float) -> int:
@@ -304,6 +309,7 @@ async def _settle_for(site: Site, row: Row[Any]) -> None:
         if actor is None:
             left = {"state": UploadState.aborted.value}
             await db.execute(update(upload).where(upload.c.id == row.id).values(**left))
+            await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id)])
     if actor is None:
         return
     try:

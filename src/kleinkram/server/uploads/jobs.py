@@ -5,7 +5,9 @@ import datetime
 from procrastinate import JobContext
 from sqlalchemy import Row, func, select, update
 
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.uploads import UploadState
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.jobs.context import site_of
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.site import Site
@@ -28,7 +30,9 @@ async def tend_uploads(site: Site, *, stale_s: float) -> None:
     await finish_stale(site, older_than_s=stale_s)
     async with site.database.begin() as db:
         lapsed = (upload.c.state == UploadState.open.value) & (upload.c.expires_at < func.now())
-        await db.execute(update(upload).where(lapsed).values(state=UploadState.expired.value))
+        expired = update(upload).where(lapsed).values(state=UploadState.expired.value)
+        gone = await db.execute(expired.returning(upload.c.id, upload.c.mission_id))
+        await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id) for row in gone])
     ended = [UploadState.aborted.value, UploadState.expired.value, UploadState.done.value]
     used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
     statement = select(upload).where(upload.c.cleaned_at.is_(None), upload.c.state.in_(ended), ~used).limit(_BATCH)

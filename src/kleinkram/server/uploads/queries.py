@@ -84,7 +84,7 @@ async def locked_uploads(db: Connection, actor: Actor, upload_ids: Collection[uu
     """Return the uploads of `actor` among the given ids, locked, in one order everywhere."""
     statement = (
         own_uploads(actor)
-        .add_columns((upload.c.expires_at <= func.now()).label("is_expired"))
+        .add_columns((upload.c.expires_at <= func.now()).label("is_expired"), func.now().label("now"))
         .where(among(upload.c.id, upload_ids))
         .order_by(upload.c.id)
         .with_for_update(of=upload)

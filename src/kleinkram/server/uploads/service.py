@@ -20,6 +20,7 @@ from kleinkram.contract.errors import (
     StoreUnavailable,
     to_problem,
 )
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
@@ -41,6 +42,7 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
@@ -149,6 +151,7 @@ async def _hold_names(
     rows = [_new_upload(site, actor, mission_id, batch, decision.wanted, now) for decision in begun]
     statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement, rows)}
+    await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
 
 

@@ -10,14 +10,18 @@ from typing import Any
 from sqlalchemy import Row, bindparam, func, update
 
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, UploadGone
+from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.uploads import CHECKSUM_HEX_DIGITS, ChecksumKind, PartToSign, SignedPart, UploadState
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import among
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 from kleinkram.server.storage import PartTarget
 from kleinkram.server.tables import upload
 from kleinkram.server.uploads import queries
+
+_TOLD_EVERY_S = 2
 
 
 def is_multipart(row: Row[Any]) -> bool:
@@ -51,6 +55,7 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
         for part in wanted:
             _check_signable(rows.get(part.upload_id), part)
         await db.execute(update(upload).where(among(upload.c.id, ids)).values(**renewed(site.settings, func.now())))
+        await tell(db, [_progress(row) for row in rows.values() if _is_worth_telling(row, site.settings)])
         whole = [
             {"b_id": part.upload_id, "b_checksum": part.checksum}
             for part in wanted
@@ -61,6 +66,16 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
             await db.execute(statement.values(signed_checksum=bindparam("b_checksum")), whole)
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
     return [_sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
+
+
+def _progress(row: Row[Any]) -> Notice:
+    return Notice("upload", ChangeKind.changed, row.id, mission_id=row.mission_id)
+
+
+def _is_worth_telling(row: Row[Any], settings: Settings) -> bool:
+    """Say of an upload whether some time has passed since its last parts were signed; small files end soon anyway."""
+    quiet: datetime.timedelta = row.now - row.lease_ends_at
+    return is_multipart(row) and quiet.total_seconds() + settings.upload_lease_s > _TOLD_EVERY_S
 
 
 def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:

@@ -1,0 +1,1 @@
+"""Events: what changed is told to whoever listens and may see it."""

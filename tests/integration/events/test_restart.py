@@ -1,0 +1,72 @@
+"""What becomes of streams, and of a program that follows them, when the API stops and comes back."""
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from kleinkram.client import connect
+from kleinkram.contract.events import Change, Refetch, RefetchReason
+from tests.integration.listening import listening
+from tests.integration.running import serving
+from tests.integration.uploading import wait_until
+from tests.stack import RunningPostgres, RunningStore
+
+
+@pytest.fixture
+def settings(postgres: RunningPostgres, store: RunningStore, template_database: str) -> dict[str, Any]:
+    """Settings of a server whose database outlives it."""
+    name = postgres.create_database(template=template_database)
+    return {
+        "database_url": postgres.serve_url(name),
+        "s3_internal_url": store.endpoint,
+        "s3_bucket": store.create_bucket(),
+        "s3_access_key": store.access_key,
+        "s3_secret_key": store.secret_key,
+    }
+
+
+def test_a_program_that_follows_goes_on_after_a_restart(
+    settings: dict[str, Any], postgres: RunningPostgres, tmp_path: Path
+) -> None:
+    admin_url = postgres.migrate_url(settings["database_url"].rpartition("/")[2])
+    heard: list[Change | Refetch] = []
+    with serving(settings, admin_url=admin_url, folder=tmp_path) as api:
+        project = api.project()
+        # The owner's token is another one after the restart.
+        client = connect(api.url, api.post("/tokens", {"name": "follower", "scopes": ["read"]}).ok(201)["secret"])
+
+        def follow() -> None:
+            heard.extend(client.events.follow(for_s=12))
+
+        follower = threading.Thread(target=follow, name="follower")
+        follower.start()
+        wait_until(lambda: len(api.app.state.hub._listeners) == 1)
+        made = api.mission(project["id"])
+        wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
+        port = urlsplit(api.url).port or 0
+        stopped_at = time.monotonic()
+    assert time.monotonic() - stopped_at < 5, "open streams hold up the end of the server"
+    with serving(settings, admin_url=admin_url, folder=tmp_path, port=port) as again:
+        wait_until(lambda: Refetch(reason=RefetchReason.missed) in heard)
+        later = again.mission(project["id"])
+        wait_until(lambda: any(isinstance(each, Change) and str(each.id) == later["id"] for each in heard))
+        follower.join(20)
+        assert not follower.is_alive()
+
+
+def test_streams_are_told_to_fetch_all_when_the_database_was_away(
+    settings: dict[str, Any], postgres: RunningPostgres, tmp_path: Path
+) -> None:
+    name = settings["database_url"].rpartition("/")[2]
+    with serving(settings, admin_url=postgres.migrate_url(name), folder=tmp_path) as api, listening(api) as ears:
+        postgres.sql(
+            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+            f" WHERE datname = '{name}' AND usename = 'kleinkram_serve'"
+        )
+        ears.until(lambda: ("refetch", {"reason": "missed"}) in ears.events)
+        made = api.project()
+        ears.hear(noun="project", id=made["id"], change="created")
