@@ -1,0 +1,50 @@
+"""A real browser in front of a real `klein up`, driven by small programs for Node."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kleinkram.server.web.serving import BUILT
+from tests.system.conftest import missing
+from tests.system.house import House
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+WEB = Path(__file__).parents[3] / "web"
+OUTPUT = Path(__file__).parents[3] / "output" / "web"
+
+# Runs a program beside the tests as the owner of a house, and returns what it saw.
+Act = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def act() -> Act:
+    """Runs a program with the browser; skipped where there is no browser, driver or built app."""
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if found is None or shutil.which("node") is None:
+        missing("no Chromium or no Node is installed")
+    if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
+        missing("the web interface is not built: `make setup` builds it")
+
+    def run(script: str, house: House, *arguments: object, timeout_s: float = 200) -> dict[str, Any]:
+        link = house.terminal.run("session", "link").out.strip()
+        program = Path(__file__).parent / script
+        places = [str(WEB), str(found), link, f"http://127.0.0.1:{house.port}"]
+        command = ["node", str(program), *places, *map(str, arguments)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
+        assert done.returncode == 0, done.stderr
+        seen: dict[str, Any] = json.loads(done.stdout)
+        return seen
+
+    return run
+
+
+@pytest.fixture
+def pictures() -> Path:
+    """Where the pictures of pages are kept, to be looked at."""
+    OUTPUT.mkdir(parents=True, exist_ok=True)
+    return OUTPUT

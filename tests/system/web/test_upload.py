@@ -1,0 +1,93 @@
+"""Uploading from a real browser: what goes up is what is there, whatever happens on the way."""
+
+import hashlib
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import generate_mcap
+from tests.system.house import House
+
+from .conftest import Act
+
+_FIELDS = """
+undeclared: refuse
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Which one drove.}
+  # In words that a browser does not understand: the server judges.
+  - {name: operator, type: string, pattern: '(?x) [a-z]+', required: true, description: In small letters.}
+  - {name: temperature, type: number, unit: degC}
+"""
+_LARGE_BYTES = 120_000_000
+_PARTS = -(-_LARGE_BYTES // (8 << 20))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_an_upload_with_all_that_comes_between(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    day, other = tmp_path / "day", tmp_path / "other" / "day"
+    (day / "nothing").mkdir(parents=True)
+    other.mkdir(parents=True)
+    generate_mcap(day / "drive.mcap", size_bytes=5_000_000)
+    (day / "camera.raw").write_bytes(random.Random(5).randbytes(_LARGE_BYTES))
+    (day / "growing.bag").write_bytes(b"begun")
+    (day / "now.bag.active").write_bytes(b"begun")
+    (other / "drive.mcap").write_bytes(b"something else")
+    fields = tmp_path / "fields.yaml"
+    fields.write_text(_FIELDS)
+    terminal = house.terminal
+    terminal.run("project", "create", "Alps", "--fields", fields)
+
+    seen = act("upload.mjs", house, day, other, pictures)
+
+    assert seen["complaints"] == []
+    assert seen["axe"] == []
+    assert "2 files" in seen["plan"]
+    assert "growing.bag something is writing to it" in seen["plan"].replace("\n", " ")
+    assert "now.bag.active it is still being recorded" in seen["plan"].replace("\n", " ")
+    assert seen["asked"].count("This is required.") == 2
+    assert "'ada.lovelace', which does not match" in seen["refused"]
+    assert "goes on by itself" in seen["offline"]
+    assert seen["dialogs"] == ["beforeunload"], "closing the page is warned about while something is under way"
+    assert "at the store already" in seen["unfinished"]
+    assert re.search(r"[12] files? as before", seen["fit"]), seen["fit"]
+    assert 0 < seen["putsAfter"] < _PARTS, "what the store held before the reload is not sent again"
+    assert "All 3 files are there." in seen["over"]
+    assert "3 already there" in seen["again"]
+    assert seen["putsAgain"] == 0
+    for content in (day / "drive.mcap", other / "drive.mcap"):
+        assert hashlib.sha256(content.read_bytes()).hexdigest() in seen["conflict"]
+    widths = [seen[f"{name}Wide"] for name in ("dark", "phone", "phone-dark")]
+    assert max(widths) <= 0, "nothing is wider than the page"
+    (day / "now.bag.active").unlink()
+    terminal.run("verify", "-p", "Alps", "-m", "ascent", day)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_trouble_on_the_way(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    """The API dies and comes back, the session ends and somebody signs in again, a file is written to."""
+    house.start()
+    day = tmp_path / "day"
+    day.mkdir()
+    (day / "camera.raw").write_bytes(random.Random(6).randbytes(_LARGE_BYTES))
+    changing = tmp_path / "changing.raw"
+    changing.write_bytes(random.Random(7).randbytes(_LARGE_BYTES))
+    terminal = house.terminal
+    terminal.run("project", "create", "Alps")
+
+    seen = act("upload_trouble.mjs", house, day, changing, pictures, house.told()["parts"]["api"])
+
+    assert "The server does not answer" in seen["away"]
+    assert "signed out" in seen["signedOut"]
+    assert "The file is there." in seen["over"]
+    terminal.run("verify", "-p", "Alps", "-m", "descent", day)
+    assert "It was written to, moved or deleted after you chose it." in seen["changed"]
+    assert "changing.raw" not in terminal.run("file", "list", "-p", "Alps").out
+    assert seen["elsewhere"].count("Another tab of this browser") == 1
+    assert seen["cancelled"].startswith("Cancelled")
+    assert seen["left"] == 0, "nothing is unfinished once it was cancelled"
+    assert seen["errors"] == []
