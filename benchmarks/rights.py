@@ -64,6 +64,8 @@ INSERT INTO access_grant (id, group_id, project_id, level)
 INSERT INTO access_grant (id, group_id, mission_id, level)
   SELECT gen_random_uuid(), md5('team' || 1 + n %% 60)::uuid, md5('mission' || n)::uuid, 1 + n %% 3
   FROM generate_series(1, 10000) n;
+INSERT INTO access_grant (id, group_id, project_id, level)
+  SELECT gen_random_uuid(), md5('own1')::uuid, id, 1 FROM project WHERE name_key NOT LIKE 'project-%%';
 INSERT INTO token (id, person_id, name, secret_sha256, scopes)
   VALUES (gen_random_uuid(), md5('person1')::uuid, 'bench', %(secret)s, '{admin}');
 """

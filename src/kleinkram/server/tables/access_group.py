@@ -70,6 +70,7 @@ affiliation_domain = Table(
     Column("group_id", Uuid, ForeignKey("affiliation.group_id", ondelete="CASCADE"), primary_key=True),
 )
 
+_DECIDING = ["level", "expires_at"]
 access_grant = Table(
     "access_grant",
     metadata,
@@ -84,7 +85,8 @@ access_grant = Table(
     Column("granted_by_id", Uuid, ForeignKey("person.id")),
     CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
     CheckConstraint("level BETWEEN 1 AND 4", name="level"),
-    Index("uq_access_grant_project", "project_id", "group_id", unique=True),
-    Index("uq_access_grant_mission", "mission_id", "group_id", unique=True),
-    Index("ix_access_grant_group_id", "group_id"),
+    # Rights are asked for with every list: all of a grant that decides stands in the index itself.
+    Index("uq_access_grant_project", "project_id", "group_id", unique=True, postgresql_include=_DECIDING),
+    Index("uq_access_grant_mission", "mission_id", "group_id", unique=True, postgresql_include=_DECIDING),
+    Index("ix_access_grant_group_id", "group_id", postgresql_include=["project_id", "mission_id", *_DECIDING]),
 )
