@@ -65,7 +65,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "get_overview": (
         Caller(
             get("/overview", project_id="{project}"),
-            About.file,
+            About.mission,
             shows=lambda found, _: found["total"]["files"] > 0,
         ),
     ),
