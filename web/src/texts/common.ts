@@ -22,6 +22,7 @@ export const texts = {
   filters: "Filters",
   undo: "Undo",
   dismiss: "Dismiss",
+  kept: "I have kept it",
   typeToConfirm: (word: string) => `Type ${word} to confirm`,
   breadcrumbs: "Where this is",
   cli: "Command line",

@@ -1,0 +1,53 @@
+import { describe, expect, it } from "vitest";
+import { deedOf, differences, doerOf, globOf, placeOf } from "./events";
+import type { AuditEvent } from "@/api/types";
+
+const event: AuditEvent = {
+  id: 1, at: "2026-11-21T20:00:00Z", actor: { id: "a", name: "Ada" }, token: null, share: null, session_id: null, address: null,
+  as_admin: false, operation: "project.update", noun: "project", noun_id: "p", noun_name: "alpine", project_id: "p",
+  mission_id: null, before: {}, after: {}, request_id: "r",
+};
+
+describe("differences", () => {
+  it("tells what came, went and changed, and not what stayed", () => {
+    expect(differences({ name: "a", gone: 1, same: true }, { name: "b", come: null, same: true })).toEqual([
+      { field: "come", before: null, after: "null" },
+      { field: "gone", before: "1", after: null },
+      { field: "name", before: "a", after: "b" },
+    ]);
+  });
+  it("tells mappings by the path of what is in them", () => {
+    expect(differences({ fields: { robot: { type: "text" } } }, { fields: { robot: { type: "number" } } })).toEqual([
+      { field: "fields.robot.type", before: "text", after: "number" },
+    ]);
+  });
+  it("shows lists as people read them, and empty mappings as what they are", () => {
+    expect(differences({}, { labels: ["a", "b"], limits: [1, null], more: {} })).toEqual([
+      { field: "labels", before: null, after: "a, b" },
+      { field: "limits", before: null, after: "[1,null]" },
+      { field: "more", before: null, after: "{}" },
+    ]);
+  });
+});
+
+it("says who did it, where that is known", () => {
+  expect(doerOf(event)).toBe("Ada");
+  expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Who has the link review");
+  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram itself");
+  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Somebody unknown");
+});
+
+it("says what was done, and the name of an act that it does not know", () => {
+  expect(deedOf(event)).toBe("changed");
+  expect(deedOf({ ...event, operation: "toString" })).toBe("toString");
+});
+
+it("finds parts of names, and leaves patterns alone", () => {
+  expect([globOf(" ada "), globOf("ada*"), globOf(" ")]).toEqual(["*ada*", "ada*", ""]);
+});
+
+it("leads to what has a page", () => {
+  expect(placeOf(event)).toEqual({ name: "project", params: { projectId: "p" } });
+  expect(placeOf({ ...event, noun: "token" })).toBeNull();
+  expect(placeOf({ ...event, noun_id: null })).toBeNull();
+});

@@ -1,0 +1,70 @@
+// What an event says, in words and as differences.
+import type { AuditEvent, Json } from "@/api/types";
+import { texts } from "@/texts/audit";
+
+export interface Difference {
+  readonly field: string;
+  /** Null: it was not there. */
+  readonly before: string | null;
+  readonly after: string | null;
+}
+
+type Values = Readonly<Record<string, Json>>;
+
+/** Mappings within mappings are told by their path: `required_metadata.robot`. */
+function flattened(values: Values, path = ""): Map<string, string> {
+  const flat = new Map<string, string>();
+  for (const [key, value] of Object.entries(values)) {
+    const at = path + key;
+    if (typeof value === "object" && value !== null && !Array.isArray(value) && Object.keys(value).length > 0) {
+      for (const [inner, text] of flattened(value as Values, `${at}.`)) flat.set(inner, text);
+    } else flat.set(at, said(value));
+  }
+  return flat;
+}
+
+function said(value: Json): string {
+  if (typeof value === "string") return value;
+  if (Array.isArray(value) && value.every((each) => typeof each === "string")) return value.join(", ");
+  return JSON.stringify(value);
+}
+
+/** Returns what is not the same before and after, field by field, in the order of their names. */
+export function differences(before: Values, after: Values): readonly Difference[] {
+  const was = flattened(before);
+  const is = flattened(after);
+  const fields = [...new Set([...was.keys(), ...is.keys()])].sort();
+  return fields
+    .map((field) => ({ field, before: was.get(field) ?? null, after: is.get(field) ?? null }))
+    .filter((each) => each.before !== each.after);
+}
+
+/** Returns who did it. */
+export function doerOf(event: AuditEvent): string {
+  if (event.actor !== null) return event.actor.name;
+  if (event.share !== null) return texts.byLink(event.share.name);
+  return event.address === null && event.session_id === null && event.request_id === null ? texts.server : texts.stranger;
+}
+
+/** Returns what was done, as it follows who did it. */
+export function deedOf(event: AuditEvent): string {
+  return Object.hasOwn(texts.operations, event.operation) ? (texts.operations[event.operation] ?? "") : event.operation;
+}
+
+/** Returns what somebody typed as a pattern: a part of a name finds it, unless they wrote a pattern themselves. */
+export function globOf(typed: string): string {
+  const text = typed.trim();
+  return text === "" || /[*?[]/.test(text) ? text : `*${text}*`;
+}
+
+/** Where the thing of an event is shown; null where nothing shows it. */
+export function placeOf(event: AuditEvent) {
+  const id = event.noun_id;
+  if (id === null) return null;
+  if (event.noun === "project") return { name: "project", params: { projectId: id } };
+  if (event.noun === "mission") return { name: "mission", params: { missionId: id } };
+  if (event.noun === "file") return { name: "file", params: { fileId: id } };
+  if (event.noun === "group") return { name: "group", params: { groupId: id } };
+  if (event.noun === "person") return { name: "person", params: { personId: id } };
+  return null;
+}

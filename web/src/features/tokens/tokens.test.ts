@@ -1,0 +1,34 @@
+import { describe, expect, it } from "vitest";
+import { type Draft, ending, isContained, isReady, scopesOf, wanted } from "./tokens";
+import type { Token } from "@/api/types";
+
+const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null };
+
+describe("a draft of a token", () => {
+  it("is ready once it has a name, something that it may, and a robot's limits", () => {
+    expect(isReady(draft)).toBe(true);
+    expect(isReady({ ...draft, name: " " })).toBe(false);
+    expect(isReady({ ...draft, scopes: [] })).toBe(false);
+    expect(isReady({ ...draft, projectIds: [] })).toBe(false);
+    expect(isReady({ ...draft, projectIds: [], kind: "personal" })).toBe(true);
+  });
+  it("is sent without what is contained anyway", () => {
+    expect(wanted({ ...draft, scopes: ["read", "write", "run"] })).toMatchObject({ name: "anymal-3", scopes: ["write", "run"] });
+  });
+  it("of a runner has no limits, whatever was chosen before", () => {
+    expect(wanted({ ...draft, kind: "runner" })).toMatchObject({ scopes: ["run"], project_ids: [], mission_ids: [] });
+  });
+});
+
+it("no robot is an admin", () => {
+  expect(scopesOf("robot").offered).not.toContain("admin");
+  expect(isContained("read", ["admin"])).toBe(true);
+  expect(isContained("admin", ["write"])).toBe(false);
+});
+
+it("a token has ended when it was revoked, or its time is over", () => {
+  const token = { revoked_at: null, expires_at: "2026-11-21T00:00:00Z" } as Token;
+  expect(ending(token, new Date("2026-11-20T23:59:59Z"))).toBeNull();
+  expect(ending(token, new Date("2026-11-21T00:00:00Z"))).toBe("expired");
+  expect(ending({ ...token, revoked_at: "2026-11-01T00:00:00Z" }, new Date("2026-11-20"))).toBe("revoked");
+});

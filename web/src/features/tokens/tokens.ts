@@ -1,0 +1,58 @@
+// What can be said of a token before the server is asked.
+import type { Scope, TokenCreate, TokenKind } from "./queries";
+import type { Token } from "@/api/types";
+
+const USUAL: Readonly<Record<TokenKind, readonly Scope[]>> = { personal: ["write"], robot: ["upload"], runner: ["run"] };
+const OFFERED: Readonly<Record<TokenKind, readonly Scope[]>> = {
+  personal: ["read", "upload", "write", "run", "admin"],
+  robot: ["read", "upload", "write", "run"],
+  runner: ["run"],
+};
+const CONTAINED: Readonly<Partial<Record<Scope, readonly Scope[]>>> = {
+  write: ["read", "upload"],
+  admin: ["read", "upload", "write", "run"],
+};
+
+export interface Draft {
+  readonly name: string;
+  readonly kind: TokenKind;
+  readonly scopes: readonly Scope[];
+  readonly projectIds: readonly string[];
+  readonly missionIds: readonly string[];
+  readonly until: string | null;
+}
+
+/** Returns the scopes that a kind may have, and those that it has unless said. */
+export function scopesOf(kind: TokenKind): { readonly offered: readonly Scope[]; readonly usual: readonly Scope[] } {
+  return { offered: OFFERED[kind], usual: USUAL[kind] };
+}
+
+/** Says whether a scope is had anyway by another one that was chosen. */
+export function isContained(scope: Scope, chosen: readonly Scope[]): boolean {
+  return chosen.some((each) => CONTAINED[each]?.includes(scope) === true);
+}
+
+/** Says whether a draft has all that the server will ask for. */
+export function isReady(draft: Draft): boolean {
+  const isLimited = draft.projectIds.length + draft.missionIds.length > 0;
+  return draft.name.trim() !== "" && draft.scopes.length > 0 && (draft.kind !== "robot" || isLimited);
+}
+
+/** Returns what is sent; a runner's token has no limits and one scope. */
+export function wanted(draft: Draft): TokenCreate {
+  const isRunner = draft.kind === "runner";
+  return {
+    name: draft.name.trim(),
+    kind: draft.kind,
+    scopes: isRunner ? ["run"] : draft.scopes.filter((scope) => !isContained(scope, draft.scopes)),
+    project_ids: isRunner ? [] : [...draft.projectIds],
+    mission_ids: isRunner ? [] : [...draft.missionIds],
+    expires_at: draft.until,
+  };
+}
+
+/** Returns how a token has ended; null while it holds. */
+export function ending(token: Token, now: Date): "revoked" | "expired" | null {
+  if (token.revoked_at !== null) return "revoked";
+  return token.expires_at !== null && new Date(token.expires_at) <= now ? "expired" : null;
+}
