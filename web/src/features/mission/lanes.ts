@@ -1,0 +1,99 @@
+// All files of a mission on one axis: which are beside each other, where there is none, and how that is drawn.
+import type { TimelineFile } from "./queries";
+
+export interface Span {
+  readonly startNs: number;
+  readonly endNs: number;
+}
+
+export interface Placed extends Span {
+  readonly file: TimelineFile;
+}
+
+export interface Lanes {
+  /** Files above each other do not overlap; those that found no room any more are in the last one. */
+  readonly lanes: readonly (readonly Placed[])[];
+  readonly gaps: readonly Span[];
+  readonly mostAtOnce: number;
+  readonly coveredNs: number;
+  /** Files that have no time, or one that cannot be true. */
+  readonly without: number;
+}
+
+export const MOST_LANES = 8;
+const LEAST_GAP_NS = 1e9;
+/** Parts of the axis that are told apart in drawing. */
+export const COLUMNS = 1600;
+
+/** Places files on an axis. */
+export function lanesOf(files: readonly TimelineFile[], axis: Span): Lanes {
+  const placed: Placed[] = [];
+  for (const file of files) {
+    const { start_ns: startNs, end_ns: endNs } = file;
+    if (startNs !== null && endNs !== null && startNs <= axis.endNs && endNs >= axis.startNs) placed.push({ file, startNs, endNs });
+  }
+  placed.sort((one, other) => one.startNs - other.startNs || one.endNs - other.endNs);
+  const lanes: Placed[][] = [];
+  const gaps: Span[] = [];
+  let [reached, coveredNs] = [axis.startNs, 0];
+  const ends: number[] = []; // of files that go on, so that those at once can be counted
+  let mostAtOnce = 0;
+  for (const each of placed) {
+    if (each.startNs - reached >= LEAST_GAP_NS) gaps.push({ startNs: reached, endNs: each.startNs });
+    coveredNs += Math.max(0, each.endNs - Math.max(each.startNs, reached));
+    reached = Math.max(reached, each.endNs);
+    place(lanes, each);
+    mostAtOnce = Math.max(mostAtOnce, atOnce(ends, each));
+  }
+  return { lanes, gaps, mostAtOnce, coveredNs, without: files.length - placed.length };
+}
+
+function place(lanes: Placed[][], each: Placed): void {
+  const free = lanes.find((lane) => (lane.at(-1)?.endNs ?? -Infinity) <= each.startNs);
+  if (free !== undefined) free.push(each);
+  else if (lanes.length < MOST_LANES) lanes.push([each]);
+  else lanes.at(-1)?.push(each);
+}
+
+function atOnce(ends: number[], each: Placed): number {
+  let kept = 0;
+  for (const end of ends) if (end > each.startNs) ends[kept++] = end;
+  ends.length = kept;
+  ends.push(each.endNs);
+  return ends.length;
+}
+
+/** Returns the bars of one lane as a path in a box of `COLUMNS` by 1, those of which `isWanted`; neighbours become one. */
+export function barsPath(lane: readonly Placed[], axis: Span, isWanted: (file: TimelineFile) => boolean): string {
+  const scale = COLUMNS / Math.max(1, axis.endNs - axis.startNs);
+  let path = "";
+  let [from, to] = [-1, -1];
+  const flush = () => {
+    if (to > from) path += `M${from} 0H${to}V1H${from}Z`;
+  };
+  for (const each of lane) {
+    if (!isWanted(each.file)) continue;
+    const start = Math.min(COLUMNS - 1, Math.max(0, Math.floor((each.startNs - axis.startNs) * scale)));
+    const end = Math.max(start + 1, Math.min(COLUMNS, Math.round((each.endNs - axis.startNs) * scale)));
+    if (start <= to - 1 || (start === to && end - start <= 1)) to = Math.max(to, end);
+    else {
+      flush();
+      [from, to] = [start, end];
+    }
+  }
+  flush();
+  return path;
+}
+
+/** Returns the file at a time, or the one nearest to it within some distance. */
+export function fileAt(lane: readonly Placed[], atNs: number, withinNs: number): Placed | null {
+  let nearest: Placed | null = null;
+  let distance = withinNs;
+  for (const each of lane) {
+    if (each.startNs - withinNs > atNs) break;
+    const away = atNs < each.startNs ? each.startNs - atNs : Math.max(0, atNs - each.endNs);
+    if (away <= distance) [nearest, distance] = [each, away];
+    if (away === 0) return each;
+  }
+  return nearest;
+}

@@ -1,0 +1,161 @@
+// What the page of a mission asks the server, and what it has it do.
+import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import type { components } from "@/api/schema";
+import type { File, Recording } from "@/api/types";
+
+type Schemas = components["schemas"];
+export type MissionChange = Schemas["MissionUpdate"];
+export type TimelineFile = Schemas["TimelineFile"];
+/** `recordings` are pairs of first and last place. */
+export type MissionTopic = Omit<Schemas["MissionTopic"], "recordings"> & { readonly recordings: readonly (readonly number[])[] };
+export type TimeAxisOf = Schemas["TimeAxis"];
+
+export interface Timeline {
+  readonly startNs: number | null;
+  readonly endNs: number | null;
+  readonly files: readonly TimelineFile[];
+}
+
+export interface Topics {
+  readonly axis: TimeAxisOf | null;
+  readonly recordings: readonly Schemas["RecordingRef"][];
+  readonly items: readonly MissionTopic[];
+  readonly isCurrent: boolean;
+}
+
+const PAGE = 10_000;
+const RECORDINGS_PAGE = 500;
+const TOPICS_PAGE = 1000;
+/** Densities of so many topics are drawn; more than 20,000 the server does not keep. */
+const BINS = 192;
+const SOON_MS = 2_000;
+const MOST_ODD = 200;
+
+export const missionKeys = {
+  timeline: (id: string) => [...keys.mission(id), "timeline"],
+  topics: (id: string) => [...keys.mission(id), "topics"],
+  odd: (id: string) => [...keys.mission(id), "odd"],
+  shares: (id: string) => keys.shares({ mission: id }),
+} as const;
+
+/** Asks for page after page until there is no next one. */
+async function all<Part extends { readonly next?: string | null | undefined }>(ask: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
+  const parts: Part[] = [];
+  for (let cursor: string | null | undefined; cursor !== null; ) {
+    const part = await ask(cursor);
+    parts.push(part);
+    cursor = part.next ?? null;
+  }
+  return parts;
+}
+
+export function useMission(missionId: string) {
+  const path = { mission_id: missionId };
+  return useQuery({
+    queryKey: keys.mission(missionId),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path }, signal })),
+  });
+}
+
+/** All files of the mission, and when each was recorded. */
+export function useTimeline(missionId: string) {
+  const path = { mission_id: missionId };
+  return useQuery({
+    queryKey: missionKeys.timeline(missionId),
+    queryFn: async ({ signal }): Promise<Timeline> => {
+      const parts = await all((cursor) =>
+        call(api.GET("/api/v1/missions/{mission_id}/timeline", { params: { path, query: { limit: PAGE, ...(cursor && { cursor }) } }, signal })),
+      );
+      const [first] = parts;
+      return { startNs: first?.start_ns ?? null, endNs: first?.end_ns ?? null, files: parts.flatMap((part) => part.items) };
+    },
+    structuralSharing: false, // comparing ten thousand files costs more than drawing those in sight anew
+  });
+}
+
+export function useRecordings(missionId: string) {
+  const path = { mission_id: missionId };
+  return useQuery({
+    queryKey: keys.recordings(missionId),
+    queryFn: async ({ signal }): Promise<readonly Recording[]> => {
+      const parts = await all((cursor) =>
+        call(api.GET("/api/v1/missions/{mission_id}/recordings", { params: { path, query: { limit: RECORDINGS_PAGE, ...(cursor && { cursor }) } }, signal })),
+      );
+      return parts.flatMap((part) => part.items);
+    },
+  });
+}
+
+/** The topics of all recordings; asked for again until they follow from today's files. */
+export function useMissionTopics(missionId: string, isWanted: () => boolean) {
+  const path = { mission_id: missionId };
+  return useQuery({
+    queryKey: missionKeys.topics(missionId),
+    queryFn: async ({ signal }): Promise<Topics> => {
+      const query = { limit: TOPICS_PAGE, bins: BINS };
+      const parts = await all((cursor) =>
+        call(api.GET("/api/v1/missions/{mission_id}/topics", { params: { path, query: { ...query, ...(cursor && { cursor }) } }, signal })),
+      );
+      const [first] = parts;
+      return {
+        axis: first?.axis ?? null,
+        recordings: first?.recordings ?? [],
+        items: parts.flatMap((part) => part.items),
+        isCurrent: parts.every((part) => part.is_current),
+      };
+    },
+    enabled: isWanted,
+    structuralSharing: false,
+    placeholderData: keepPreviousData,
+    refetchInterval: (asked) => (asked.state.data?.isCurrent === false ? SOON_MS : false),
+  });
+}
+
+/** The files in which something is not as it should be, the first ones by path. */
+export function useOddFiles(missionId: string) {
+  return useQuery({
+    queryKey: missionKeys.odd(missionId),
+    queryFn: async ({ signal }): Promise<readonly File[]> => {
+      const common = { mission_id: missionId, sort: "path", limit: MOST_ODD } as const;
+      const [inside, bytes] = await Promise.all([
+        call(api.GET("/api/v1/files", { params: { query: { ...common, content: ["recovered", "broken", "error"] } }, signal })),
+        call(api.GET("/api/v1/files", { params: { query: { ...common, state: ["lost", "corrupt"] } }, signal })),
+      ]);
+      const known = new Map([...bytes.items, ...inside.items].map((file) => [file.id, file]));
+      return [...known.values()];
+    },
+  });
+}
+
+export function useMissionChanges(missionId: string) {
+  const queries = useQueryClient();
+  const path = { mission_id: missionId };
+
+  function old(): void {
+    void queries.invalidateQueries({ queryKey: ["missions"] });
+    void queries.invalidateQueries({ queryKey: ["projects"] });
+    void queries.invalidateQueries({ queryKey: ["files"] });
+    void queries.invalidateQueries({ queryKey: ["trash"] });
+  }
+
+  const update = useMutation({
+    mutationFn: (body: MissionChange) => call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path }, body })),
+    onSuccess: (mission) => {
+      queries.setQueryData(keys.mission(missionId), mission);
+      old();
+    },
+    meta: { showsItself: true },
+  });
+  const remove = useMutation({
+    mutationFn: () => call(api.DELETE("/api/v1/missions/{mission_id}", { params: { path } })),
+    onSuccess: old,
+    meta: { showsItself: true },
+  });
+  const restore = useMutation({
+    mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "mission", noun_id: missionId } } })),
+    onSuccess: old,
+  });
+  return { update, remove, restore };
+}
