@@ -83,9 +83,12 @@ def _counted(facet: str, found: CTE, matching: FileFilter) -> Select[Any]:
     """Return `value` and `file_count` of a facet; topic and type are asked of one topic together."""
     if facet in {"topic", "type"}:
         named = topic.c.name if facet == "topic" else topic.c.message_type
-        joined = select(named.label("value"), func.count(distinct(found.c.id)).label("file_count"))
-        joined = narrow_topics(joined.join_from(found, topic, topic.c.blob_id == found.c.blob_id), matching)
-        return joined.where(named.is_not(None)).group_by(named)
+        blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
+        each = select(blobs.c.blob_id, blobs.c.files, named.label("value")).distinct()
+        each = narrow_topics(each.join_from(blobs, topic, topic.c.blob_id == blobs.c.blob_id), matching)
+        once = each.where(named.is_not(None)).subquery()
+        file_count = cast(func.sum(once.c.files), BigInteger)
+        return select(once.c.value, file_count.label("file_count")).group_by(once.c.value)
     if facet == "label":
         label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
         stmt = select(label.c.value, func.count(distinct(found.c.id)).label("file_count"))

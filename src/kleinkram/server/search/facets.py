@@ -16,6 +16,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import choosing
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows
+from kleinkram.server.search.queries import room_to_count
 
 # Files that are looked at, and for how long; fewer where that takes too long.
 _ATTEMPTS = ((20_000, 5_000), (1_000, 2_000))
@@ -45,6 +46,7 @@ async def _within(
     """Return the rows of all facets, or None where that takes too long."""
     try:
         async with db.begin_nested():
+            await db.execute(room_to_count())
             await db.execute(select(func.set_config("statement_timeout", str(milliseconds), True)))
             return (await db.execute(facet_rows(actor, matching, most=most))).all()
     except DBAPIError as error:

@@ -7,6 +7,7 @@ from unicodedata import normalize
 
 from sqlalchemy import (
     ColumnElement,
+    FromClause,
     Integer,
     Select,
     Text,
@@ -93,6 +94,8 @@ def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter)
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
+    if matching == FileFilter():
+        return stmt
     files = narrow_files(actor, visible_files(actor), matching)
     by_files = mission.c.id.in_(files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None))
     return stmt.where(
@@ -126,7 +129,7 @@ def _of_files(actor: Actor, matching: FileFilter) -> Conditions:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
     in_mission = _mission_holds if sees_whole_missions(actor) else _mission_is_named
-    conditions += _words(matching.text, lambda word: or_(_file_holds(word), in_mission(word)))
+    conditions += _words(matching.text, lambda word: or_(_its_mission(in_mission, word), *_file_holds(word)))
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return conditions + [_fails(_of_files(actor, parse_term(term))) for term in matching.without]
@@ -249,29 +252,34 @@ def _project_is_named(word: str) -> ColumnElement[bool]:
     return key_holds_word(project.c.name_key, word)
 
 
-def _mission_is_named(word: str) -> ColumnElement[bool]:
-    return or_(key_holds_word(mission.c.name_key, word), key_holds_word(project.c.name_key, word))
+def _mission_is_named(word: str, of: FromClause = mission, within: FromClause = project) -> ColumnElement[bool]:
+    return or_(key_holds_word(of.c.name_key, word), key_holds_word(within.c.name_key, word))
 
 
 def _project_holds(word: str) -> ColumnElement[bool]:
     return or_(_project_is_named(word), holds_word(project.c.description, word))
 
 
-def _mission_holds(word: str) -> ColumnElement[bool]:
-    values = (
-        func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH)).table_valued("value").render_derived()
-    )
+def _mission_holds(word: str, of: FromClause = mission, within: FromClause = project) -> ColumnElement[bool]:
+    values = func.jsonb_path_query(of.c.metadata, cast("strict $.**", JSONPATH)).table_valued("value").render_derived()
     as_text = values.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
     in_values = select(values.c.value).where(holds_word(as_text, word))
     scalar = func.jsonb_typeof(values.c.value).not_in(["object", "array"])
     return or_(
-        _mission_is_named(word),
-        holds_word(mission.c.notes, word),
+        _mission_is_named(word, of, within),
+        holds_word(of.c.notes, word),
         in_values.where(scalar).exists(),
     )
 
 
-def _file_holds(word: str) -> ColumnElement[bool]:
-    topics = _blob_has_topic(holds_word(topic.c.name, word))
+def _its_mission(holds: Callable[[str, FromClause, FromClause], ColumnElement[bool]], word: str) -> ColumnElement[bool]:
+    # Asked of nothing outside: each mission is looked at once, not once for each of its files.
+    of, within = mission.alias("its_mission"), project.alias("its_project")
+    found = select(of.c.id).join(within, within.c.id == of.c.project_id).where(holds(word, of, within))
+    return file.c.mission_id.in_(found)
+
+
+def _file_holds(word: str) -> Conditions:
+    """Return where a file may hold a word, the cheapest to look at first."""
     labels = holds_word(func.array_to_string(file.c.labels, "\n"), word)
-    return or_(key_holds_word(file.c.path_key, word), labels, topics)
+    return [key_holds_word(file.c.path_key, word), labels, _blob_has_topic(holds_word(topic.c.name, word))]

@@ -16,6 +16,7 @@ from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
+_MEMORY = "32MB"
 _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 
 
@@ -24,22 +25,30 @@ def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     return narrow_topics(topic_rows(narrow_files(actor, visible_files(actor), matching)), matching)
 
 
+def room_to_count() -> Select[Any]:
+    """Return the statement that gives the counting of many topics memory to do it in, until the transaction ends."""
+    return select(func.set_config("work_mem", _MEMORY, True))
+
+
 def topics_found(actor: Actor, matching: FileFilter, *, limit: int) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
     Those whose names hold the most words of the filter come first, then those of the most files.
     """
-    stmt = narrow_files(actor, visible_files(actor), matching).join(topic, topic.c.blob_id == blob.c.id)
-    name, message_type, files = topic.c.name, topic.c.message_type, func.count()
+    files = narrow_files(actor, visible_files(actor), matching)
+    of_blob = files.with_only_columns(file.c.blob_id, func.count().label("files"), maintain_column_froms=True)
+    # Looked up once and first: what is found of the files says nothing of how many topics they have.
+    found = of_blob.group_by(file.c.blob_id).cte("found").prefix_with("MATERIALIZED")
+    name, message_type, file_count = topic.c.name, topic.c.message_type, func.sum(found.c.files)
     columns = (
         name,
         message_type,
-        files.label("file_count"),
-        func.sum(topic.c.count).label("message_count"),
+        file_count.label("file_count"),
+        func.sum(topic.c.count * found.c.files).label("message_count"),
         func.count().over().label("total"),
     )
-    grouped = narrow_topics(stmt.with_only_columns(*columns, maintain_column_froms=True), matching)
-    order = (words_in(name, matching).desc(), files.desc(), name, message_type)
+    grouped = narrow_topics(select(*columns).join_from(found, topic, topic.c.blob_id == found.c.blob_id), matching)
+    order = (words_in(name, matching).desc(), file_count.desc(), name, message_type)
     return grouped.group_by(name, message_type).order_by(*order).limit(limit)
 
 

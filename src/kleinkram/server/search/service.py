@@ -41,6 +41,7 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
 
 
 async def _topics_found(db: Connection, actor: Actor, matching: FileFilter, limit: int) -> Page[TopicFound]:
+    await db.execute(queries.room_to_count())
     rows = (await db.execute(queries.topics_found(actor, matching, limit=limit))).all()
     return Page(items=[queries.to_topic_found(row) for row in rows], total=rows[0].total if rows else 0)
 
