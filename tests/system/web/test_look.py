@@ -4,9 +4,6 @@ import base64
 import csv
 import io
 import itertools
-import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +13,10 @@ import pytest
 from kleinkram.recordings.decoding import image
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
-from kleinkram.server.web.serving import BUILT
 from tests.acceptance.conftest import wait_until
-from tests.system.conftest import missing
 from tests.system.house import House
+from tests.system.web.conftest import Act
 
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-_WEB = Path(__file__).parents[3] / "web"
 _NAMES = ("drive.mcap", "drive.bag", "cut.mcap")
 _MCAP_BYTES, _BAG_BYTES = 60_000_000, 10_000_000
 # JPEG decoders may round differently.
@@ -30,20 +24,9 @@ _ROUNDING = 2
 _MOST_SHARE = 0.05
 
 
-@pytest.fixture
-def browser() -> str:
-    """The program of a browser, where there are also its driver and the built app."""
-    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if found is None or shutil.which("node") is None:
-        missing("no Chromium or no Node is installed")
-    if not (_WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
-        missing("the web interface is not built: `make setup` builds it")
-    return str(found)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_a_first_look(house: House, browser: str, tmp_path: Path) -> None:
+def test_a_first_look(house: House, act: Act, tmp_path: Path) -> None:
     house.start()
     day = tmp_path / "day"
     day.mkdir()
@@ -61,13 +44,7 @@ def test_a_first_look(house: House, browser: str, tmp_path: Path) -> None:
     wait_until(lambda: all(file["content"] != "pending" for file in files().values()), "the files to be read")
     known = files()
     assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered"]
-    link = terminal.run("session", "link").out.strip()
-    script = Path(__file__).parent / "look.mjs"
-    places = [str(_WEB), browser, link, f"http://127.0.0.1:{house.port}"]
-    command = ["node", str(script), *places, *(known[name]["id"] for name in _NAMES)]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=180)
-    assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout)
+    seen = act("look.mjs", house, *(known[name]["id"] for name in _NAMES))
 
     assert seen["complaints"] == []
     pictures = _pictures(mcap.path)
@@ -83,7 +60,8 @@ def test_a_first_look(house: House, browser: str, tmp_path: Path) -> None:
     assert "Read all 60." in seen["imu"]["asked"], "more than is read without asking"
     assert seen["odom"]["asked"] is None
     assert seen["imu"]["label"].startswith("Plot of /imu/data over time: linear_acceleration.x from -0.")
-    assert "has no index" in seen["cut"]
+    _assert_same(seen["cut"], pictures[0])
+    assert "never closed" in seen["cut"]["told"]
 
 
 def _pictures(path: Path) -> list[tuple[int, Any]]:

@@ -43,6 +43,8 @@ export type Request = OpenRequest | PictureRequest | FieldsRequest | CurvesReque
 export interface Opened {
   /** Null where the recording holds no message. */
   span: { fromNs: bigint; toNs: bigint } | null;
+  /** Null for a recording with an index; else how many bytes from its beginning were read to make one. */
+  mendedUntil: number | null;
   topics: { name: string; messageType: string }[];
 }
 

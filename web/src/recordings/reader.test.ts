@@ -27,7 +27,7 @@ class ToldWorker implements WorkerLike {
   }
 }
 
-const OPENED = { span: null, topics: [] };
+const OPENED = { span: null, mendedUntil: null, topics: [] };
 
 function answering(worker: ToldWorker, message: ToWorker): void {
   if (message.type !== "ask") return;

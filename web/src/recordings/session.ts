@@ -35,7 +35,8 @@ export class Session {
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
-    return { span: this.recording.span, topics };
+    const { span, mendedUntil } = this.recording;
+    return { span, mendedUntil, topics };
   }
 
   /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */

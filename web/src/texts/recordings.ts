@@ -14,8 +14,8 @@ const INSIDE = (detail: string) => (detail === "" ? "" : ` (${detail})`);
 
 export const failures: Readonly<Record<FailureCode, Told>> = {
   no_index: {
-    title: () => "This recording has no index: it was never closed, or its end is missing",
-    remedy: "Finding anything in it takes reading all of it. Download it to look at it with your own tools.",
+    title: () => "This recording has no index, and its beginning does not tell what is in it",
+    remedy: DOWNLOAD,
   },
   not_readable_here: { title: () => "This file is not what its format says", remedy: DOWNLOAD },
   compression_unknown: { title: (detail) => `Its chunks are compressed in a way that is not read here${INSIDE(detail)}`, remedy: DOWNLOAD },
@@ -70,6 +70,10 @@ export const texts = {
   title: "First look",
   topic: "Topic",
   noTopics: "This recording holds no message.",
+  mended: (until: number, size: number) =>
+    until < 0.9 * size
+      ? `This recording was never closed and has no index. This is its beginning: ${formatSize(until)} of ${formatSize(size)}.`
+      : "This recording was never closed and has no index. This is what could be read of it.",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
   readTitle: "What this page has fetched of the file, straight from the store",
   pictureOf: (topic: string, seconds: string, width: number, height: number) => `Picture of ${topic} at ${seconds}, ${width} by ${height} pixels`,

@@ -2,12 +2,14 @@
 
 import { unpack } from "../compression/unpack";
 import { ReadFailure } from "../failures";
-import { MOST_HELD } from "../limits";
+import type { FailureCode } from "../failures";
+import { MOST_HELD, READ_AHEAD } from "../limits";
 import type { Ranges } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
 import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
 
 const HEADER = 4096 + MAGIC.length;
+const DAMAGED: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged", "too_large"]);
 
 interface Chunk extends Span {
   at: number;
@@ -21,17 +23,17 @@ interface Connection {
   schema: Schema;
 }
 
-/** Open a bag: reads its header and the index at its end.
+/** Open a bag: reads its header and the index at its end; where there is none, up to `mostBytes` to make one.
  *
- * @throws ReadFailure no_index where it was never closed; index_damaged.
+ * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openBag(source: Ranges): Promise<Recording> {
+export async function openBag(source: Ranges, mostBytes: number): Promise<Recording> {
   const front = await source.read(0, Math.min(HEADER, source.sizeBytes));
   if (text(front.subarray(0, MAGIC.length)) !== MAGIC) throw new ReadFailure("not_readable_here");
   const header = headAt(front, MAGIC.length);
   const indexAt = uint64(header.fields.get("index_pos"));
-  if (header.op !== Op.header || indexAt === 0) throw new ReadFailure("no_index");
-  if (indexAt > source.sizeBytes) throw new ReadFailure("no_index");
+  if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
+  if (indexAt === 0 || indexAt >= source.sizeBytes) return mended(source, header.dataAt + header.length, mostBytes);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
@@ -42,7 +44,67 @@ export async function openBag(source: Ranges): Promise<Recording> {
     else throw new ReadFailure("index_damaged", `a record of kind ${record.op}`);
     at = record.next;
   }
-  return new BagRecording(source, connections, placed(chunks, indexAt));
+  return new BagRecording(source, connections, placed(chunks, indexAt), null);
+}
+
+/** Walk the chunks from `start`, each with the index behind it, as far as `mostBytes` reach or they are whole. */
+async function mended(source: Ranges, start: number, mostBytes: number): Promise<Recording> {
+  const connections = new Map<number, Connection>();
+  const chunks: Chunk[] = [];
+  let at = start;
+  source.ahead = READ_AHEAD;
+  try {
+    while (at < mostBytes || chunks.length === 0) {
+      const chunk = await wholeChunk(source, at, connections);
+      if (chunk === null) break;
+      if (chunk.counts.size > 0) chunks.push(chunk);
+      at = chunk.end;
+    }
+  } catch (thrown) {
+    // From here on it is damaged, or something else is wrong.
+    if (!(thrown instanceof ReadFailure) || !DAMAGED.has(thrown.code)) throw thrown;
+  } finally {
+    source.ahead = 0;
+  }
+  if (chunks.length === 0) throw new ReadFailure("no_index");
+  return new BagRecording(source, connections, chunks.sort(byStart), at);
+}
+
+/** Return the chunk at `at` as an index would tell it, and note its connections; null where it is not whole. */
+async function wholeChunk(source: Ranges, at: number, connections: Map<number, Connection>): Promise<Chunk | null> {
+  const [op, end] = await extent(source, at);
+  if (op !== Op.chunk || end === null) return null;
+  const chunk: Chunk & { counts: Map<number, number> } = { at, end, fromNs: 0n, toNs: 0n, counts: new Map() };
+  const inside = recordAt(await source.read(at, end - at), 0);
+  const unpacked = unpack(text(inside.fields.get("compression")), inside.data, uint32(inside.fields.get("size")));
+  for (let place = 0; place < unpacked.length; ) {
+    const record = recordAt(unpacked, place);
+    if (record.op === Op.connection) connections.set(uint32(record.fields.get("conn")), connection(record));
+    if (record.op === Op.message) noteMessage(chunk, record.fields);
+    place = record.next;
+  }
+  for (;;) {
+    const [behind, next] = await extent(source, chunk.end);
+    if (behind !== Op.index || next === null) return chunk;
+    chunk.end = next;
+  }
+}
+
+function noteMessage(chunk: Chunk & { counts: Map<number, number> }, fields: ReadonlyMap<string, Uint8Array>): void {
+  const id = uint32(fields.get("conn"));
+  const time = timeAt(fields.get("time"));
+  if (chunk.counts.size === 0 || time < chunk.fromNs) chunk.fromNs = time;
+  if (chunk.counts.size === 0 || time > chunk.toNs) chunk.toNs = time;
+  chunk.counts.set(id, (chunk.counts.get(id) ?? 0) + 1);
+}
+
+/** What kind of record is at `at`, and where it ends; null where that is behind the end of the file. */
+async function extent(source: Ranges, at: number): Promise<[number, number | null]> {
+  const head = await source.read(at, Math.min(4096, source.sizeBytes - at));
+  if (head.length === 0) return [-1, null];
+  const { op, dataAt, length } = headAt(head, 0);
+  const end = at + dataAt + length;
+  return [op, end <= source.sizeBytes ? end : null];
 }
 
 function connection(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Connection {
@@ -67,7 +129,11 @@ function placed(chunks: Chunk[], indexAt: number): Chunk[] {
     chunk.end = chunks[number + 1]?.at ?? indexAt;
     if (chunk.end <= chunk.at || chunk.end > indexAt) throw new ReadFailure("index_damaged", `a chunk at ${chunk.at}`);
   });
-  return chunks.sort((a, b) => (a.fromNs < b.fromNs ? -1 : a.fromNs > b.fromNs ? 1 : a.at - b.at));
+  return chunks.sort(byStart);
+}
+
+function byStart(a: Chunk, b: Chunk): number {
+  return a.fromNs < b.fromNs ? -1 : a.fromNs > b.fromNs ? 1 : a.at - b.at;
 }
 
 class BagRecording implements Recording {
@@ -78,6 +144,7 @@ class BagRecording implements Recording {
     readonly source: Ranges,
     private readonly connections: ReadonlyMap<number, Connection>,
     private readonly chunks: readonly Chunk[],
+    readonly mendedUntil: number | null,
   ) {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);

@@ -3,20 +3,36 @@
 import { McapIndexedReader } from "@mcap/core";
 import { unpack } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
-import { MOST_HELD, MOST_READ_AT_ONCE } from "../limits";
-import type { Ranges } from "../ranges";
+import { MOST_HELD, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
+import type { ByteSource, Ranges } from "../ranges";
+import { mendMcap } from "./mcap_mended";
 import { mostHeld } from "./recording";
 import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
 
 const TAIL = 512 * 1024;
 
-/** Open an MCAP: reads its beginning and its summary.
+/** Open an MCAP: reads its beginning and its summary; where there is none, up to `mostBytes` to make one.
  *
- * @throws ReadFailure no_index where it was never closed or has no chunk index; index_damaged.
+ * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openMcap(source: Ranges): Promise<Recording> {
+export async function openMcap(source: Ranges, mostBytes: number): Promise<Recording> {
   const tail = Math.min(TAIL, source.sizeBytes);
   await source.read(source.sizeBytes - tail, tail); // one request for what is mostly the whole summary
+  try {
+    return new McapRecording(source, await opened(source), null);
+  } catch (thrown) {
+    if (!(thrown instanceof ReadFailure) || thrown.code !== "no_index") throw thrown;
+  }
+  source.ahead = READ_AHEAD;
+  try {
+    const mended = await mendMcap(source, mostBytes);
+    return new McapRecording(source, await opened(mended), mended.endsAt);
+  } finally {
+    source.ahead = 0;
+  }
+}
+
+async function opened(source: ByteSource): Promise<McapIndexedReader> {
   let reader: McapIndexedReader;
   try {
     reader = await McapIndexedReader.Initialize({ readable: readable(source), decompressHandlers: HANDLERS });
@@ -26,14 +42,14 @@ export async function openMcap(source: Ranges): Promise<Recording> {
   }
   const isEmpty = reader.statistics?.messageCount === 0n;
   if (reader.chunkIndexes.length === 0 && !isEmpty) throw new ReadFailure("no_index");
-  return new McapRecording(source, reader);
+  return reader;
 }
 
 const HANDLERS = Object.fromEntries(
   ["lz4", "zstd"].map((name) => [name, (bytes: Uint8Array, size: bigint) => unpack(name, bytes, Number(size))]),
 );
 
-function readable(source: Ranges): { size: () => Promise<bigint>; read: (o: bigint, l: bigint) => Promise<Uint8Array> } {
+function readable(source: ByteSource): { size: () => Promise<bigint>; read: (o: bigint, l: bigint) => Promise<Uint8Array> } {
   return {
     size: () => Promise.resolve(BigInt(source.sizeBytes)),
     read: (offset, length) => source.read(Number(offset), Number(length)),
@@ -50,6 +66,7 @@ class McapRecording implements Recording {
   constructor(
     readonly source: Ranges,
     private readonly reader: McapIndexedReader,
+    readonly mendedUntil: number | null,
   ) {
     this.span = spanOf(reader.chunkIndexes);
     for (const channel of reader.channelsById.values()) {

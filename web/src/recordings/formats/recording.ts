@@ -40,6 +40,8 @@ export interface Recording {
   readonly source: Ranges;
   /** Null where the recording holds no message. */
   readonly span: Span | null;
+  /** Where a recording without index was read up to, to make one: the rest is not seen. Null for one with an index. */
+  readonly mendedUntil: number | null;
   readonly topics: readonly RecordedTopic[];
   /** The pieces that may hold messages of the topic within the span, in order of time. */
   pieces(topic: string, span: Span): Piece[];

@@ -32,7 +32,8 @@ export function madeBag(
   const made: MadeChunk[] = [];
   for (const messages of chunks) {
     made.push({ at: joined(parts).length, messages });
-    parts.push(...chunkRecords(messages, compress));
+    const first = made.length === 1 ? connections.map(connectionRecord) : [];
+    parts.push(...chunkRecords(first, messages, compress));
   }
   const indexAt = joined(parts).length;
   connections.forEach((connection, id) => parts.push(connectionRecord(connection, id)));
@@ -41,10 +42,14 @@ export function madeBag(
   return joined(parts);
 }
 
-function chunkRecords(messages: readonly BagMessage[], compress: (bytes: Uint8Array) => { name: string; bytes: Uint8Array }): Uint8Array[] {
-  const records: Uint8Array[] = [];
+function chunkRecords(
+  before: readonly Uint8Array[],
+  messages: readonly BagMessage[],
+  compress: (bytes: Uint8Array) => { name: string; bytes: Uint8Array },
+): Uint8Array[] {
+  const records = [...before];
   const places = new Map<number, Uint8Array[]>();
-  let at = 0;
+  let at = joined(before).length;
   for (const { connection, timeNs, data } of messages) {
     const bytes = record({ op: byte(2), conn: u32(connection), time: time(timeNs) }, data);
     places.set(connection, [...(places.get(connection) ?? []), time(timeNs), u32(at)]);
