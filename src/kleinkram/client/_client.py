@@ -12,6 +12,7 @@ from kleinkram.client.config import Endpoint, find_endpoint
 from kleinkram.client.events import Events
 from kleinkram.client.files import Files
 from kleinkram.client.groups import Groups
+from kleinkram.client.home import Home
 from kleinkram.client.me import Me
 from kleinkram.client.missions import Missions
 from kleinkram.client.people import People
@@ -51,6 +52,7 @@ class Client:
         self.audit = Audit(api)
         self.service = Service(api)
         self.events = Events(api)
+        self.home = Home(api)
         self.me = Me(api)
 
     def __enter__(self) -> Self:

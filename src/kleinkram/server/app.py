@@ -33,6 +33,7 @@ from kleinkram.server.groups.affiliations import ensure_affiliations
 from kleinkram.server.groups.routes import router as groups
 from kleinkram.server.health.routes import probes
 from kleinkram.server.health.routes import router as service
+from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http import Envelope, install_handlers
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
@@ -70,6 +71,7 @@ ROUTERS = (
     shares,
     audit,
     events,
+    home_summary,
     auth,
     login_router,
     me_router,

@@ -134,6 +134,11 @@ class Settings(BaseSettings):
     ] = "set"
     store_id: Annotated[str, Field(description="The name under which blobs remember this store.")] = "main"
 
+    store_folder: Annotated[
+        Path | None,
+        Field(description="A folder on the store's disk where that is this machine's, for telling how full it is."),
+    ] = None
+
     public_url: Annotated[str, Field(description="This server's address as clients reach it.")] = (
         "http://127.0.0.1:8000"
     )

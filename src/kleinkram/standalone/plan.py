@@ -142,6 +142,7 @@ def _server_environment(plan: Plan) -> dict[str, str]:
         "KLEINKRAM_S3_ACCESS_KEY": access.access_key,
         "KLEINKRAM_S3_SECRET_KEY": access.secret_key,
         "KLEINKRAM_S3_REGION": access.region,
+        "KLEINKRAM_STORE_FOLDER": str(plan.store.folder),
         "KLEINKRAM_PUBLIC_URL": plan.public_url,
         "KLEINKRAM_OWNER_TOKEN_FILE": str(plan.data_dir.token_file),
         "KLEINKRAM_LOG_FORMAT": "json",

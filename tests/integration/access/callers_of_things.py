@@ -168,6 +168,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
             undo=_trash_again("project", "trashed_project"),
         ),
     ),
+    "get_home": (Caller(get("/home"), About.server),),
     "watch_events": (Caller(get("/events", for_s="0"), About.server),),
     "list_audit_events": (Caller(get("/audit", project_id="{project}"), About.project, shows=has_items),),
     "export_audit_events": (

@@ -168,6 +168,7 @@ OPERATIONS: dict[str, Need] = {
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),
+    "get_home": Need(On.nothing, None, _READ),
     "watch_events": Need(On.nothing, None, _READ),
     "get_service": Need(On.nothing, None, _ANY, guests=True, runners=True),
 }

@@ -1,0 +1,1 @@
+"""Home: what somebody finds when they come."""

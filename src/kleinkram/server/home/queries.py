@@ -1,0 +1,115 @@
+"""What home asks of the database: few selects, each of a bounded answer. Functions touch no connection."""
+
+from typing import Any
+
+from sqlalchemy import Select, func, select, text, union
+
+from kleinkram.contract.files import BlobState
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
+from kleinkram.server.tables import blob, file, mission, project, upload
+from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.uploads.queries import own_uploads
+
+# As the index of what ails says it.
+_AILS = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('broken', 'recovered', 'error'))")
+# Among the files that came last, where something arrived; and the missions that were made last.
+_LAST_FILES = 2000
+_PROOF_PATIENCE = text("interval '2 days'")
+
+
+def recent_missions(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return the missions in which something arrived last, with when, and what is in them.
+
+    Of those in which one of the last `_LAST_FILES` files arrived, and the last `limit` that were made.
+    """
+    files = visible_files(actor).with_only_columns(file.c.mission_id, maintain_column_froms=True)
+    last = files.order_by(file.c.created_at.desc(), file.c.id.desc()).limit(_LAST_FILES).subquery()
+    made = visible_missions(actor).with_only_columns(mission.c.id.label("id"), maintain_column_froms=True)
+    newest = made.order_by(mission.c.created_at.desc(), mission.c.id.desc()).limit(limit).subquery()
+    chosen = union(select(last.c.mission_id.label("id")), select(newest.c.id)).subquery()
+    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None))
+    counted = (func.count().label("files"), func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes"))
+    arrived = func.max(file.c.created_at).label("arrived_at")
+    amounts = select(*counted, arrived).join_from(file, blob, blob.c.id == file.c.blob_id).where(*inside).lateral()
+    active_at = func.greatest(mission.c.created_at, amounts.c.arrived_at)
+    named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+    return (
+        select(*named, active_at.label("active_at"), amounts.c.files, amounts.c.size_bytes)
+        .join_from(chosen, mission, mission.c.id == chosen.c.id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(amounts, text("true"))
+        .order_by(active_at.desc(), mission.c.id)
+        .limit(limit)
+    )
+
+
+def unfinished_uploads(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return one's own uploads that are under way, the latest first."""
+    named = (mission.c.name.label("mission_name"), mission.c.project_id, project.c.name.label("project_name"))
+    return (
+        own_uploads(actor)
+        .add_columns(*named)
+        .join(mission, mission.c.id == upload.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .where(upload.c.state.in_(UNDER_WAY), upload.c.expires_at > func.now())
+        .order_by(upload.c.created_at.desc(), upload.c.id)
+        .limit(limit)
+    )
+
+
+def ailing_files(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return how many files of each mission are in each state that is not well, most first."""
+    named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+    said = (blob.c.state, blob.c.content)
+    stmt = visible_files(actor).with_only_columns(
+        *named, *said, func.count().label("number"), maintain_column_froms=True
+    )
+    stmt = stmt.where(_AILS).group_by(mission.c.id, project.c.id, *said)
+    return stmt.order_by(func.count().desc(), mission.c.id).limit(limit)
+
+
+def unsatisfied_missions(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return missions that lack what their project asks for, with the number of problems of each."""
+    number = func.jsonb_array_length(mission.c.metadata_problems)
+    named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+    stmt = visible_missions(actor).with_only_columns(*named, number.label("number"), maintain_column_froms=True)
+    return stmt.where(number > 0).order_by(mission.c.created_at.desc(), mission.c.id).limit(limit)
+
+
+def storage_by_project(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return what is kept in each project that somebody sees, the largest first."""
+    inside = visible_files(actor).with_only_columns(
+        mission.c.project_id,
+        func.count().label("files"),
+        func.sum(blob.c.size_bytes).label("size_bytes"),
+        maintain_column_froms=True,
+    )
+    sums = inside.group_by(mission.c.project_id).subquery()
+    size_bytes = func.coalesce(sums.c.size_bytes, 0)
+    stmt = visible_projects(actor).with_only_columns(
+        project.c.id,
+        project.c.name,
+        project.c.quota_bytes,
+        func.coalesce(sums.c.files, 0).label("files"),
+        size_bytes.label("size_bytes"),
+        maintain_column_froms=True,
+    )
+    stmt = stmt.outerjoin(sums, sums.c.project_id == project.c.id)
+    return stmt.order_by(size_bytes.desc(), project.c.name, project.c.id).limit(limit)
+
+
+def used_bytes() -> Select[Any]:
+    """Return how many bytes the store keeps, each once."""
+    return select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.doomed_at.is_(None))
+
+
+def late_proofs() -> Select[Any]:
+    """Return how many files' bytes should have been proven by now."""
+    late = (blob.c.state == BlobState.stored.value, blob.c.doomed_at.is_(None))
+    return select(func.count()).select_from(blob).where(*late, blob.c.created_at < func.now() - _PROOF_PATIENCE)
+
+
+def failed_jobs() -> Select[Any]:
+    """Return how many jobs were given up."""
+    return select(func.count()).select_from(text("procrastinate_jobs")).where(text("status = 'failed'"))

@@ -1,0 +1,134 @@
+"""Home, put together: a handful of statements in one transaction, then the store for what it holds of uploads."""
+
+import asyncio
+import shutil
+from typing import Any
+
+from sqlalchemy import Row
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.home import (
+    Attention,
+    HomeRead,
+    Need,
+    ProjectStorage,
+    RecentMission,
+    StoreUse,
+    UnfinishedUpload,
+)
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import Connection
+from kleinkram.server.home import queries
+from kleinkram.server.settings import Settings
+from kleinkram.server.site import Site
+
+_MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20
+_STORE_PATIENCE_S = 2.0
+# As `klein doctor` says.
+_LOW_BYTES, _LOW_SHARE = 5 * 1024**3, 0.02
+# What is wrong with the bytes goes before what is wrong with what they say.
+_OF_STATE = {"corrupt": Need.files_corrupt, "lost": Need.files_lost}
+_OF_CONTENT = {"broken": Need.files_broken, "error": Need.files_unread, "recovered": Need.files_recovered}
+
+
+async def get_home(site: Site, actor: Actor) -> HomeRead:
+    """Return what somebody finds when they come. A store that does not answer only leaves out what it holds."""
+    async with site.database.begin() as db:
+        missions = (await db.execute(queries.recent_missions(actor, limit=_MISSIONS))).all()
+        uploads = (await db.execute(queries.unfinished_uploads(actor, limit=_UPLOADS))).all()
+        storage = (await db.execute(queries.storage_by_project(actor, limit=_PROJECTS))).all()
+        attention = await _attention(db, actor)
+        store = None
+        if actor.is_admin and actor.limits is None:
+            store = await store_use(db, site.settings)
+            attention = [*await _of_server(db, store), *attention]
+    sent = await asyncio.gather(*(_sent_bytes(site, row) for row in uploads))
+    return HomeRead(
+        missions=[_recent(row) for row in missions],
+        uploads=[_unfinished(row, held) for row, held in zip(uploads, sent, strict=True)],
+        attention=attention,
+        storage=[_storage(row) for row in storage],
+        store=store,
+    )
+
+
+async def store_use(db: Connection, settings: Settings) -> StoreUse:
+    """Return what the store holds, and what is free on its disk where that is on this machine."""
+    used = int((await db.execute(queries.used_bytes())).scalar_one())
+    folder = settings.store_folder
+    if folder is None or not folder.is_dir():
+        return StoreUse(used_bytes=used, free_bytes=None, disk_bytes=None)
+    disk = shutil.disk_usage(folder)
+    return StoreUse(used_bytes=used, free_bytes=disk.free, disk_bytes=disk.total)
+
+
+def is_low(store: StoreUse) -> bool:
+    """Say whether the store's disk is about to be full."""
+    if store.free_bytes is None or store.disk_bytes is None:
+        return False
+    return store.free_bytes < max(_LOW_BYTES, _LOW_SHARE * store.disk_bytes)
+
+
+async def _attention(db: Connection, actor: Actor) -> list[Attention]:
+    ailing = (await db.execute(queries.ailing_files(actor, limit=_AILING))).all()
+    lacking = (await db.execute(queries.unsatisfied_missions(actor, limit=_AILING))).all()
+    counts: dict[tuple[Need, MissionRef], int] = {}
+    for row in ailing:
+        what = (_OF_STATE.get(row.state) or _OF_CONTENT[row.content], _mission(row))
+        counts[what] = counts.get(what, 0) + row.number
+    found = [Attention(need=need, count=count, mission=where) for (need, where), count in counts.items()]
+    found += [Attention(need=Need.metadata_missing, count=row.number, mission=_mission(row)) for row in lacking]
+    order = list(Need)
+    return sorted(found, key=lambda each: order.index(each.need))
+
+
+async def _of_server(db: Connection, store: StoreUse) -> list[Attention]:
+    failed = (await db.execute(queries.failed_jobs())).scalar_one()
+    late = (await db.execute(queries.late_proofs())).scalar_one()
+    counts = {Need.disk_low: int(is_low(store)), Need.jobs_failed: failed, Need.proofs_late: late}
+    return [Attention(need=need, count=count) for need, count in counts.items() if count]
+
+
+async def _sent_bytes(site: Site, row: Row[Any]) -> int | None:
+    if row.multipart_id is None:
+        return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
+    try:
+        held = await asyncio.wait_for(site.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+    except (StoreUnavailable, asyncio.TimeoutError):
+        return None
+    # A part sent twice may be listed twice.
+    return sum({part.number: part.size_bytes for part in held or ()}.values())
+
+
+def _mission(row: Row[Any]) -> MissionRef:
+    return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
+
+
+def _recent(row: Row[Any]) -> RecentMission:
+    return RecentMission(
+        mission=_mission(row), active_at=row.active_at, file_count=row.files, size_bytes=int(row.size_bytes)
+    )
+
+
+def _unfinished(row: Row[Any], sent_bytes: int | None) -> UnfinishedUpload:
+    place = ProjectRef(id=row.project_id, name=row.project_name)
+    return UnfinishedUpload(
+        id=row.id,
+        mission=MissionRef(id=row.mission_id, name=row.mission_name, project=place),
+        path=row.path,
+        size_bytes=row.size_bytes,
+        sent_bytes=sent_bytes,
+        created_at=row.created_at,
+        expires_at=row.expires_at,
+    )
+
+
+def _storage(row: Row[Any]) -> ProjectStorage:
+    return ProjectStorage(
+        project=ProjectRef(id=row.id, name=row.name),
+        file_count=row.files,
+        size_bytes=int(row.size_bytes),
+        quota_bytes=row.quota_bytes,
+    )
