@@ -1,8 +1,8 @@
 // Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
-import { useVirtualizer, useWindowVirtualizer, type VirtualItem } from "@tanstack/vue-virtual";
+import { defaultRangeExtractor, type Range, useVirtualizer, useWindowVirtualizer, type VirtualItem } from "@tanstack/vue-virtual";
 import { computed, type ComputedRef, onMounted, onScopeDispose, ref, type Ref } from "vue";
 
-const OVERSCAN = 12;
+const OVERSCAN = 6;
 
 export interface VirtualRows {
   readonly items: ComputedRef<readonly VirtualItem[]>;
@@ -17,6 +17,8 @@ export interface VirtualOptions {
   readonly body: Ref<HTMLElement | null>;
   readonly scroller: Ref<HTMLElement | null>;
   readonly count: () => number;
+  /** A row that stays drawn out of sight, since it has the focus. */
+  readonly kept: () => number;
   readonly rowHeight: number;
   readonly isOwnScroller: boolean;
 }
@@ -26,7 +28,19 @@ export function useVirtualRows(options: VirtualOptions): VirtualRows {
   const margin = ref(0);
   const width = ref(1024);
 
-  const common = () => ({ count: options.count(), estimateSize: () => options.rowHeight, overscan: OVERSCAN });
+  function rangeWithKept(range: Range): number[] {
+    const inSight = defaultRangeExtractor(range);
+    const kept = options.kept();
+    if (kept >= range.count || inSight.includes(kept)) return inSight;
+    return kept < range.startIndex ? [kept, ...inSight] : [...inSight, kept];
+  }
+
+  const common = () => ({
+    count: options.count(),
+    estimateSize: () => options.rowHeight,
+    overscan: OVERSCAN,
+    rangeExtractor: rangeWithKept,
+  });
   const virtualizer = options.isOwnScroller
     ? useVirtualizer(computed(() => ({ ...common(), getScrollElement: () => options.scroller.value })))
     : useWindowVirtualizer(computed(() => ({ ...common(), scrollMargin: margin.value })));
