@@ -7,6 +7,7 @@ from typing_extensions import Self
 
 from kleinkram.client._http import Api
 from kleinkram.client.access import Access
+from kleinkram.client.admin import Admin
 from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
 from kleinkram.client.events import Events
@@ -53,6 +54,7 @@ class Client:
         self.service = Service(api)
         self.events = Events(api)
         self.home = Home(api)
+        self.admin = Admin(api)
         self.me = Me(api)
 
     def __enter__(self) -> Self:

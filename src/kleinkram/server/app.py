@@ -13,6 +13,7 @@ import kleinkram
 from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.access.owner import ensure_owner
+from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.claiming import offer_claim
@@ -72,6 +73,7 @@ ROUTERS = (
     audit,
     events,
     home_summary,
+    admin,
     auth,
     login_router,
     me_router,

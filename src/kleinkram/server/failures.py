@@ -134,6 +134,7 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "invite_person": (NameTaken, Forbidden),
     "create_reset_link": (NotFound, Forbidden),
     "list_audit_events": (InvalidCursor,),
+    "retry_job": (NotFound,),
     "watch_events": (TooManyStreams,),
     "export_audit_events": (RateLimited,),
 }

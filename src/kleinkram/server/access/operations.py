@@ -170,6 +170,12 @@ OPERATIONS: dict[str, Need] = {
     "export_audit_events": Need(On.project, Right.delete, _READ),
     "get_home": Need(On.nothing, None, _READ),
     "watch_events": Need(On.nothing, None, _READ),
+    # The whole server
+    "get_admin_storage": Need(On.server, None, _ADMIN),
+    "get_admin_jobs": Need(On.server, None, _ADMIN),
+    "retry_job": Need(On.server, None, _ADMIN),
+    "get_admin_health": Need(On.server, None, _ADMIN),
+    "get_admin_settings": Need(On.server, None, _ADMIN),
     "get_service": Need(On.nothing, None, _ANY, guests=True, runners=True),
 }
 

@@ -1,0 +1,1 @@
+"""Admin: the whole server, for its admins."""

@@ -1,0 +1,42 @@
+"""The whole server over HTTP, for admins."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
+
+from kleinkram.contract.admin import AdminHealth, AdminJobs, AdminSettings, AdminStorage
+from kleinkram.server.admin import service
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, CurrentSite, Transaction
+
+router = APIRouter(prefix="/api/v1/admin", tags=["admin"])
+JobId = Annotated[int, Path(ge=1, le=2**63 - 1)]
+
+
+@router.get("/storage", operation_id="get_admin_storage")
+async def get_admin_storage(db: Transaction, settings: CurrentSettings) -> AdminStorage:
+    """Say what the store keeps, by state, and how full its disk is where that is known."""
+    return await service.get_storage(db, settings)
+
+
+@router.get("/jobs", operation_id="get_admin_jobs")
+async def get_admin_jobs(db: Transaction) -> AdminJobs:
+    """Show the queue, and the jobs that were given up."""
+    return await service.get_jobs(db)
+
+
+@router.post("/jobs/{job_id}/retry", operation_id="retry_job", status_code=204)
+async def retry_job(job_id: JobId, db: Transaction, actor: CurrentActor) -> None:
+    """Put a job that was given up back into the queue."""
+    await service.retry_job(db, actor, job_id)
+
+
+@router.get("/health", operation_id="get_admin_health")
+async def get_admin_health(request: Request, site: CurrentSite, _actor: CurrentActor) -> AdminHealth:
+    """Say how database, store and workers are."""
+    return await service.get_health(site, takes_pages=request.app.state.pages_may_send)
+
+
+@router.get("/settings", operation_id="get_admin_settings")
+async def get_admin_settings(settings: CurrentSettings, _actor: CurrentActor) -> AdminSettings:
+    """Show the settings in force, secrets left out."""
+    return service.get_settings(settings)

@@ -1,0 +1,118 @@
+"""What admins see of the whole server. Who may is decided by the table of operations."""
+
+import datetime
+from typing import Any
+
+from pydantic import SecretStr
+from sqlalchemy import Row, Select
+
+import kleinkram
+from kleinkram.contract.admin import (
+    AdminHealth,
+    AdminJobs,
+    AdminSettings,
+    AdminStorage,
+    FailedJob,
+    JobAmount,
+    SettingRead,
+    StateAmount,
+)
+from kleinkram.contract.errors import NotFound
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.admin import queries
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection
+from kleinkram.server.health.readiness import missing
+from kleinkram.server.home.service import is_low, store_use
+from kleinkram.server.migrations import HEAD
+from kleinkram.server.settings import Settings
+from kleinkram.server.site import Site
+
+# Addresses with passwords in them, and what holds secrets further inside.
+_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "s3_secret_key", "oidc_providers"})
+
+
+async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
+    """Return what the store keeps."""
+    store = await store_use(db, settings)
+    rows = (await db.execute(queries.blobs_by_state())).all()
+    return AdminStorage(
+        store=store,
+        is_low=is_low(store),
+        blobs=[_amount(row.state, row) for row in rows],
+        trash=await _sum(db, "trash", queries.trashed_blobs()),
+        uploads=await _sum(db, "under_way", queries.open_uploads()),
+        doomed=await _sum(db, "doomed", queries.doomed_blobs()),
+    )
+
+
+async def get_jobs(db: Connection) -> AdminJobs:
+    """Return the queue, and the jobs that were given up last."""
+    queue = (await db.execute(queries.QUEUE)).all()
+    failed = (await db.execute(queries.FAILED)).all()
+    return AdminJobs(
+        queue=[JobAmount(kind=row.kind, state=row.state, count=row.number, oldest_at=row.oldest_at) for row in queue],
+        failed=[FailedJob.model_validate(row._asdict()) for row in failed],
+    )
+
+
+async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
+    """Put a job that was given up back into the queue.
+
+    Raises:
+        NotFound: there is no such job, or it was not given up.
+    """
+    kind = (await db.execute(queries.RETRY, {"id": job_id})).scalar_one_or_none()
+    if kind is None:
+        raise NotFound(noun="failed job", ref=str(job_id))
+    await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
+
+
+async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
+    """Return how the server is; asks the store without holding a connection."""
+    not_ready = await missing(site.database, site.storage)
+    async with site.database.begin() as db:
+        server = (await db.execute(queries.SERVER)).one()
+        here = datetime.datetime.now(datetime.timezone.utc)
+        workers = (await db.execute(queries.WORKERS)).scalars().all()
+    return AdminHealth(
+        not_ready=not_ready,
+        version=kleinkram.__version__,
+        schema_version=HEAD,
+        database_version=server.version,
+        database_bytes=server.size_bytes,
+        now=here,
+        clock_skew_s=(here - server.now).total_seconds(),
+        workers_at=list(workers),
+        store_checksum=site.storage.checksum.value,
+        store_writes_once=site.storage.abilities.writes_once,
+        store_takes_pages=takes_pages,
+    )
+
+
+def get_settings(settings: Settings) -> AdminSettings:
+    """Return every setting in force; of secrets, that they are set."""
+    said = settings.model_dump(mode="json")
+    return AdminSettings(
+        settings=[
+            SettingRead(
+                name=f"KLEINKRAM_{name.upper()}",
+                value=None if _is_secret(settings, name) else said[name],
+                is_set=name in settings.model_fields_set,
+                is_secret=_is_secret(settings, name),
+            )
+            for name in sorted(said)
+        ]
+    )
+
+
+def _is_secret(settings: Settings, name: str) -> bool:
+    return name in _SECRET or isinstance(getattr(settings, name), SecretStr)
+
+
+async def _sum(db: Connection, state: str, statement: Select[Any]) -> StateAmount:
+    return _amount(state, (await db.execute(statement)).one())
+
+
+def _amount(state: str, row: Row[Any]) -> StateAmount:
+    return StateAmount(state=state, count=row.number, size_bytes=int(row.size_bytes))

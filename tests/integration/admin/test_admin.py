@@ -1,0 +1,81 @@
+"""What admins see of the whole server, and that it holds no secret."""
+
+import json
+
+import pytest
+
+from kleinkram.client import connect
+from kleinkram.contract.errors import NotFound
+from tests.integration import people
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+from tests.integration.uploading import begin
+
+
+@pytest.fixture(scope="module")
+def lab(start_api: StartApi) -> Api:
+    return start_api()
+
+
+def test_storage_is_told_by_state(lab: Api) -> None:
+    mission = lab.mission(lab.project()["id"])
+    sample = Sample(lab)
+    sample.file(mission["id"], "kept.mcap", size_bytes=3)
+    trashed = sample.file(mission["id"], "trashed.mcap", size_bytes=5)
+    lab.delete(f"/files/{trashed}").ok()
+    sample.blob(size_bytes=7, doomed_at="2026-01-01T00:00:00Z")
+    begin(lab, mission["id"], {"coming.bin": b"eleven byte"}, hashed=False)
+    told = lab.get("/admin/storage").ok()
+    assert told["blobs"] == [{"state": "stored", "count": 2, "size_bytes": 8}]
+    assert told["trash"] == {"state": "trash", "count": 1, "size_bytes": 5}
+    assert told["doomed"] == {"state": "doomed", "count": 1, "size_bytes": 7}
+    assert told["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
+
+
+def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
+    insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES"
+    job_id = lab.sql(f"{insert} ('default', 'prove_blob', 'failed', '{{\"ref\": \"x\"}}') RETURNING id")[0][0]
+    with connect(lab.url, lab.token) as client:
+        told = client.admin.jobs()
+        assert [(each.id, each.kind, each.ref) for each in told.failed] == [(job_id, "prove_blob", "x")]
+        assert ("prove_blob", "failed", 1) in [(each.kind, each.state, each.count) for each in told.queue]
+        client.admin.retry_job(job_id)
+        assert client.admin.jobs().failed == []
+        with pytest.raises(NotFound):
+            client.admin.retry_job(job_id)
+    assert lab.sql("SELECT status::text FROM procrastinate_jobs WHERE id = %s", job_id) == [("todo",)]
+    (event,) = lab.all("/audit", {"operation": "job.retry"})
+    assert event["after"] == {"job": job_id}
+
+
+def test_health_says_how_database_and_store_are(lab: Api) -> None:
+    told = lab.get("/admin/health").ok()
+    assert told["not_ready"] is None
+    assert told["database_bytes"] > 1_000_000
+    assert abs(told["clock_skew_s"]) < 5
+    assert (told["store_checksum"], told["store_takes_pages"]) == ("crc64nvme", True)
+
+
+def test_settings_in_force_hold_no_secret(lab: Api) -> None:
+    told = {each["name"]: each for each in lab.get("/admin/settings").ok()["settings"]}
+    assert told["KLEINKRAM_S3_BUCKET"]["value"] == lab.app.state.settings.s3_bucket
+    assert told["KLEINKRAM_S3_BUCKET"]["is_set"] is True
+    assert told["KLEINKRAM_TRASH_DAYS"] == {
+        "name": "KLEINKRAM_TRASH_DAYS",
+        "value": 30,
+        "is_set": False,
+        "is_secret": False,
+    }
+    settings = lab.app.state.settings
+    password = settings.database_url.hosts()[0]["password"]
+    secrets = [settings.s3_secret_key.get_secret_value(), settings.s3_access_key, password]
+    assert all(secrets)
+    assert [each for each in secrets if each in json.dumps(told)] == []
+
+
+def test_it_is_for_admins(lab: Api) -> None:
+    member = lab.as_(people.person(lab).token)
+    for page in ("storage", "jobs", "health", "settings"):
+        member.get(f"/admin/{page}").refused(403, "forbidden")
+    member.post("/admin/jobs/1/retry").refused(403, "forbidden")
