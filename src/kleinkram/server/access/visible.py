@@ -161,8 +161,7 @@ def level_on_mission(actor: Actor) -> ColumnElement[int]:
         return literal(Right.delete.level)
     if actor.kind is ActorKind.share:
         return literal(Right.read.level)
-    place = or_(access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
-    return func.greatest(_public_level(), _granted_level(actor, place, mission))
+    return func.greatest(_public_level(), *_levels_granted_on_mission(actor))
 
 
 def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
@@ -176,8 +175,7 @@ def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> C
     """Return the same on each `mission` of a select."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    place = or_(access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
-    return _granted_level(actor, place, mission, _lasting(until))
+    return func.greatest(*_levels_granted_on_mission(actor, _lasting(until)))
 
 
 def visible_people(actor: Actor) -> Select[Any]:
@@ -312,6 +310,12 @@ def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[An
     # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
     mine = (access_grant.c.group_id == any_(_my_memberships(actor))) & unexpired(access_grant.c.expires_at)
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
+
+
+def _levels_granted_on_mission(actor: Actor, still: Still = unexpired) -> list[ColumnElement[int]]:
+    # Two looks, each into its own index: with OR, the database may well go through all grants of all the groups.
+    places = (access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
+    return [_granted_level(actor, place, mission, still) for place in places]
 
 
 def _granted_level(
