@@ -25,7 +25,7 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	fi
 	@touch $@
 
-# The web interface, with the system's Node or, where there is none, one from a wheel (docs/decisions/0017-web.md).
+# The web interface, with the system's Node or, where there is none, one from a wheel (docs/decisions/0018-web.md).
 $(MODULES): web/package.json web/package-lock.json web/.npmrc | $(STAMP)
 	@web/npm ci --silent
 	@touch $@

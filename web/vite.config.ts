@@ -22,6 +22,7 @@ export default defineConfig({
   },
   worker: { format: "es" },
   server: {
+    host: "127.0.0.1", // where the cookie of the server beside it is good too
     port: 5173,
     strictPort: true,
     fs: { allow: [".."] },
