@@ -24,6 +24,7 @@ WRITES: dict[str, set[str]] = {
     "download_files": {"file.download"},
     "prove_file": {"file.prove"},
     "update_file": {"[file.update]"},
+    "label_files": {"file.update"},
     "move_file": {"file.leave", "file.arrive"},
     "delete_file": {"[file.delete]"},
     "complete_uploads": {"[file.upload]", "[file.mend]"},
