@@ -4,6 +4,8 @@ import { onScopeDispose, ref, type Ref, watch, type WatchSource } from "vue";
 
 /** Several changes within this time ask for everything once. */
 const GATHER_MS = 250;
+/** Where changes come all the time, everything is asked for no more often than this. */
+const LEAST_MS = 2000;
 
 export interface LiveOptions {
   /** Which answers an event makes old; none for events that are nobody's concern here. */
@@ -30,17 +32,19 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   const isConnected = ref(false);
   let source: EventSource | null = null;
   let timer: ReturnType<typeof setTimeout> | undefined;
+  let refreshedAt = -LEAST_MS;
   const old = new Map<string, readonly unknown[]>();
 
   function refresh(): void {
     timer = undefined;
+    refreshedAt = performance.now();
     for (const queryKey of old.values()) void queries.invalidateQueries({ queryKey });
     old.clear();
   }
 
   function note(event: MessageEvent<string>): void {
     for (const key of options.keysOf(event.type, parsed(event.data))) old.set(JSON.stringify(key), key);
-    if (old.size > 0) timer ??= setTimeout(refresh, GATHER_MS);
+    if (old.size > 0) timer ??= setTimeout(refresh, Math.max(GATHER_MS, refreshedAt + LEAST_MS - performance.now()));
   }
 
   function close(): void {

@@ -1,0 +1,104 @@
+// Who may do what with a project or a mission: what is asked, and what is changed. One way for both.
+import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import { usePages } from "@/api/pages";
+import type { components } from "@/api/schema";
+import type { Access, Grant } from "@/api/types";
+
+export type GrantCreate = components["schemas"]["GrantCreate"];
+export type GrantChange = components["schemas"]["GrantUpdate"];
+
+export interface Place {
+  readonly kind: "project" | "mission";
+  readonly id: string;
+}
+
+const MOST = 500;
+const PAGE = 100;
+
+/** What was given on the place; for those who may change it. */
+export function useGrants(place: Place, isWanted: () => boolean) {
+  return useQuery({
+    queryKey: place.kind === "project" ? keys.projectGrants(place.id) : keys.missionGrants(place.id),
+    queryFn: async ({ signal }): Promise<readonly Grant[]> => {
+      const query = { limit: MOST };
+      const page = await (place.kind === "project"
+        ? call(api.GET("/api/v1/projects/{project_id}/grants", { params: { path: { project_id: place.id }, query }, signal }))
+        : call(api.GET("/api/v1/missions/{mission_id}/grants", { params: { path: { mission_id: place.id }, query }, signal })));
+      return page.items;
+    },
+    enabled: isWanted,
+  });
+}
+
+/** What follows from it for people. */
+export function useAccess(place: Place) {
+  return usePages<Access>(place.kind === "project" ? keys.projectAccess(place.id) : keys.missionAccess(place.id), (cursor, signal) => {
+    const query = { limit: PAGE, ...(cursor !== undefined && { cursor }) };
+    return place.kind === "project"
+      ? call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: place.id }, query }, signal }))
+      : call(api.GET("/api/v1/missions/{mission_id}/access", { params: { path: { mission_id: place.id }, query }, signal }));
+  });
+}
+
+export interface Candidate {
+  readonly kind: "person" | "group" | "email";
+  readonly id: string;
+  readonly name: string;
+}
+
+const MOST_OFFERED = 8;
+
+/** People and groups whose names begin to match what was typed; an address, whether or not somebody has it. */
+export function useCandidates(text: () => string) {
+  return useQuery({
+    queryKey: ["people", "candidates", text],
+    queryFn: async ({ signal }): Promise<readonly Candidate[]> => {
+      const typed = text().trim();
+      const [people, groups] = await Promise.all([
+        call(api.GET("/api/v1/people", { params: { query: { text: typed, active: true, limit: MOST_OFFERED } }, signal })),
+        call(api.GET("/api/v1/groups", { params: { query: { name: `*${typed.replaceAll(/[*?]/g, "")}*`, limit: MOST_OFFERED } }, signal })),
+      ]);
+      return [
+        ...people.items.map(({ id, name }) => ({ kind: "person" as const, id, name })),
+        ...groups.items.map(({ id, name }) => ({ kind: "group" as const, id, name })),
+      ];
+    },
+    enabled: () => text().trim() !== "",
+  });
+}
+
+export function useGrantChanges(place: Place) {
+  const queries = useQueryClient();
+  const inProject = { project_id: place.id };
+  const inMission = { mission_id: place.id };
+  const onSuccess = () => void queries.invalidateQueries({ queryKey: ["access"] });
+
+  const give = useMutation({
+    mutationFn: (body: GrantCreate) =>
+      place.kind === "project"
+        ? call(api.POST("/api/v1/projects/{project_id}/grants", { params: { path: inProject }, body }))
+        : call(api.POST("/api/v1/missions/{mission_id}/grants", { params: { path: inMission }, body })),
+    onSuccess,
+    meta: { showsItself: true },
+  });
+  const change = useMutation({
+    mutationFn: ({ id, body }: { readonly id: string; readonly body: GrantChange }) =>
+      place.kind === "project"
+        ? call(api.PATCH("/api/v1/projects/{project_id}/grants/{grant_id}", { params: { path: { ...inProject, grant_id: id } }, body }))
+        : call(api.PATCH("/api/v1/missions/{mission_id}/grants/{grant_id}", { params: { path: { ...inMission, grant_id: id } }, body })),
+    onSuccess,
+    onError: onSuccess, // the list shows again what holds
+    meta: { showsItself: true },
+  });
+  const take = useMutation({
+    mutationFn: (id: string): Promise<unknown> =>
+      place.kind === "project"
+        ? call(api.DELETE("/api/v1/projects/{project_id}/grants/{grant_id}", { params: { path: { ...inProject, grant_id: id } } }))
+        : call(api.DELETE("/api/v1/missions/{mission_id}/grants/{grant_id}", { params: { path: { ...inMission, grant_id: id } } })),
+    onSuccess,
+    meta: { showsItself: true },
+  });
+  return { give, change, take };
+}

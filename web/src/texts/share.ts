@@ -1,0 +1,32 @@
+// The words of links for people without an account.
+import { counted } from "@/components/format";
+
+export const texts = {
+  title: "Share by a link",
+  why: "Whoever has the link may look and download, without an account, until it ends. What they do is on the record under the link’s name.",
+  whole: "All that is in this mission, now and later",
+  some: (count: number) => `The ${counted(count, "selected file")}`,
+  tooMany: (most: number) => `A link shows at most ${most} files, or a whole mission.`,
+  what: "What it shows",
+  name: "What it is for, or for whom",
+  nameHint: "So that you know it again when you end it.",
+  days: "It ends after",
+  inDays: (days: number) => (days === 365 ? "a year" : counted(days, "day")),
+  create: "Make the link",
+  made: "The link",
+  madeWhy: (until: string) => `It is shown this once, so copy it now. It works until ${until}.`,
+  links: "Links",
+  linksWhy: "Links to this mission that you may end.",
+  noLinks: "No links lead here.",
+  shows: (count: number | null) => (count === null ? "the whole mission" : counted(count, "file")),
+  until: (when: string) => `until ${when}`,
+  used: (count: number, bytes: string) => (count === 0 ? "never used to download" : `${counted(count, "download")}, ${bytes}`),
+  madeBy: (who: string) => `by ${who}`,
+  revoked: "ended",
+  expired: "expired",
+  revoke: "End",
+  revokeTitle: "End this link?",
+  revokeWhy: "From the next request on it shows nothing. A download that runs goes on for a while.",
+  revokedNow: (name: string) => `The link “${name}” has ended.`,
+  another: "Make another link",
+} as const;
