@@ -27,7 +27,7 @@ export const places: readonly Place[] = [
   place("projects", iconProjects, "p", { also: ["project", "mission", "file"] }),
   place("search", iconSearch, "s"),
   place("upload", iconUpload, "u"),
-  place("people", iconPeople, "e", { also: ["person", "groups", "group"] }),
+  place("people", iconPeople, "e", { also: ["person", "groups", "group", "access"] }),
   place("trash", iconTrash, "t"),
   place("audit", iconAudit, "r"),
   place("admin", iconAdmin, "a", { forAdmins: true }),

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
-import { deedOf, differences, doerOf, globOf, placeOf } from "./events";
+import { deedOf, differences, doerOf, placeOf } from "./events";
 import type { AuditEvent } from "@/api/types";
+import { globOf } from "@/components/glob";
 
 const event: AuditEvent = {
   id: 1, at: "2026-11-21T20:00:00Z", actor: { id: "a", name: "Ada" }, token: null, share: null, session_id: null, address: null,

@@ -51,12 +51,6 @@ export function deedOf(event: AuditEvent): string {
   return Object.hasOwn(texts.operations, event.operation) ? (texts.operations[event.operation] ?? "") : event.operation;
 }
 
-/** Returns what somebody typed as a pattern: a part of a name finds it, unless they wrote a pattern themselves. */
-export function globOf(typed: string): string {
-  const text = typed.trim();
-  return text === "" || /[*?[]/.test(text) ? text : `*${text}*`;
-}
-
 /** Where the thing of an event is shown; null where nothing shows it. */
 export function placeOf(event: AuditEvent) {
   const id = event.noun_id;

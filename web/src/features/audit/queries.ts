@@ -2,11 +2,11 @@
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { type LocationQuery, useRoute } from "vue-router";
-import { globOf } from "./events";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { operations } from "@/api/schema";
+import { globOf } from "@/components/glob";
 import { startOfDay } from "@/components/until";
 
 export type AuditQuery = NonNullable<operations["export_audit_events"]["parameters"]["query"]>;

@@ -1,0 +1,64 @@
+// What the pages of groups ask the server, and what they have it do.
+import { useQuery, useQueryClient } from "@tanstack/vue-query";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import { usePages } from "@/api/pages";
+import type { components } from "@/api/schema";
+import { globOf } from "@/components/glob";
+
+export type MemberSet = components["schemas"]["MemberSet"];
+
+const OFFERED = 8;
+
+export function useGroups(name: () => string) {
+  const query = () => (name() === "" ? {} : { name: globOf(name()) });
+  return usePages(
+    () => keys.groups(query()),
+    (cursor, signal) => call(api.GET("/api/v1/groups", { params: { query: { ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
+  );
+}
+
+export function useGroup(groupId: string) {
+  return useQuery({
+    queryKey: keys.group(groupId),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/groups/{group_id}", { params: { path: { group_id: groupId } }, signal })),
+  });
+}
+
+export function useMembers(groupId: string) {
+  return usePages(keys.members(groupId), (cursor, signal) => {
+    const query = { count: true, ...(cursor !== undefined && { cursor }) };
+    return call(api.GET("/api/v1/groups/{group_id}/members", { params: { path: { group_id: groupId }, query }, signal }));
+  });
+}
+
+/** People whom one may add, by what was typed. */
+export function useCandidates(typed: () => string) {
+  return useQuery({
+    queryKey: ["people", "candidates", typed],
+    queryFn: ({ signal }) => {
+      const query = { limit: OFFERED, active: true, ...(typed() !== "" && { text: typed() }) };
+      return call(api.GET("/api/v1/people", { params: { query }, signal }));
+    },
+  });
+}
+
+export function useGroupChanges() {
+  const queries = useQueryClient();
+  async function done<Told>(told: Promise<Told>): Promise<Told> {
+    const answer = await told;
+    for (const key of ["groups", "people", "access", "me"]) void queries.invalidateQueries({ queryKey: [key] });
+    return answer;
+  }
+  const one = (groupId: string) => ({ path: { group_id: groupId } });
+  const member = (groupId: string, personId: string) => ({ path: { group_id: groupId, person_id: personId } });
+  return {
+    create: (name: string) => done(call(api.POST("/api/v1/groups", { body: { name } }))),
+    rename: (groupId: string, name: string) => done(call(api.PATCH("/api/v1/groups/{group_id}", { params: one(groupId), body: { name } }))),
+    remove: (groupId: string) => done(call(api.DELETE("/api/v1/groups/{group_id}", { params: one(groupId) }))),
+    setMember: (groupId: string, personId: string, body: MemberSet) =>
+      done(call(api.PUT("/api/v1/groups/{group_id}/members/{person_id}", { params: member(groupId, personId), body }))),
+    removeMember: (groupId: string, personId: string) =>
+      done(call(api.DELETE("/api/v1/groups/{group_id}/members/{person_id}", { params: member(groupId, personId) }))),
+  };
+}

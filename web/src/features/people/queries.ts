@@ -1,0 +1,115 @@
+// What the pages of people ask the server, and what they have it do.
+import { useQuery, useQueryClient } from "@tanstack/vue-query";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import { usePages } from "@/api/pages";
+import type { operations } from "@/api/schema";
+import type { Access, Project } from "@/api/types";
+
+export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
+
+/** Projects in which one person's rights are looked up; beyond these nobody scrolls. */
+const MOST_PROJECTS = 200;
+const AT_ONCE = 4;
+const PAGE = 500;
+
+export function usePeople(query: () => PeopleQuery) {
+  return usePages(
+    () => keys.people(query()),
+    (cursor, signal) => {
+      const asked = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
+      return call(api.GET("/api/v1/people", { params: { query: asked }, signal }));
+    },
+  );
+}
+
+export function usePerson(personId: string) {
+  return useQuery({
+    queryKey: keys.person(personId),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/people/{person_id}", { params: { path: { person_id: personId } }, signal })),
+  });
+}
+
+export function usePersonChanges(personId: string) {
+  const queries = useQueryClient();
+  const params = { path: { person_id: personId } };
+  const old = () => {
+    for (const key of ["people", "groups", "access", "tokens", "me"]) void queries.invalidateQueries({ queryKey: [key] });
+  };
+  async function done<Told>(told: Promise<Told>): Promise<Told> {
+    const answer = await told;
+    old();
+    return answer;
+  }
+  return {
+    makeAdmin: () => done(call(api.POST("/api/v1/people/{person_id}/admin", { params }))),
+    unmakeAdmin: () => done(call(api.DELETE("/api/v1/people/{person_id}/admin", { params }))),
+    deactivate: () => done(call(api.POST("/api/v1/people/{person_id}/deactivate", { params }))),
+    reactivate: () => done(call(api.POST("/api/v1/people/{person_id}/reactivate", { params }))),
+    reset: () => call(api.POST("/api/v1/people/{person_id}/reset", { params })),
+  };
+}
+
+/** The projects that one may choose among. */
+export function useProjects() {
+  const query = { limit: MOST_PROJECTS };
+  return useQuery({
+    queryKey: keys.projects(query),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
+  });
+}
+
+export function useMissionsOf(projectId: () => string) {
+  return useQuery({
+    queryKey: ["missions", "list", "of", projectId],
+    queryFn: ({ signal }) => call(api.GET("/api/v1/missions", { params: { query: { project_id: projectId(), limit: MOST_PROJECTS } }, signal })),
+    enabled: () => projectId() !== "",
+  });
+}
+
+/** Who gets what on a project, or on one of its missions. */
+export function useAccess(projectId: () => string, missionId: () => string) {
+  return usePages(
+    () => (missionId() === "" ? keys.projectAccess(projectId()) : keys.missionAccess(missionId())),
+    (cursor, signal) => {
+      const query = cursor === undefined ? {} : { cursor };
+      if (missionId() !== "") {
+        return call(api.GET("/api/v1/missions/{mission_id}/access", { params: { path: { mission_id: missionId() }, query }, signal }));
+      }
+      return call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: projectId() }, query }, signal }));
+    },
+    { enabled: () => projectId() !== "" },
+  );
+}
+
+export interface Reach extends Access {
+  readonly project: Project;
+}
+
+async function accessOf(project: Project, personId: string, signal: AbortSignal): Promise<readonly Reach[]> {
+  const found: Reach[] = [];
+  let cursor: string | null = "";
+  while (cursor !== null) {
+    const query: { limit: number; cursor?: string } = cursor === "" ? { limit: PAGE } : { limit: PAGE, cursor };
+    const page = await call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: project.id }, query }, signal }));
+    found.push(...page.items.filter(({ person }) => person?.id === personId).map((access) => ({ ...access, project })));
+    cursor = page.next ?? null;
+  }
+  return found;
+}
+
+/** What somebody has on each project that one sees, as far as one may know it. */
+export function useReach(personId: string) {
+  return useQuery({
+    queryKey: ["access", "person", personId],
+    queryFn: async ({ signal }) => {
+      const { items: projects } = await call(api.GET("/api/v1/projects", { params: { query: { limit: MOST_PROJECTS } }, signal }));
+      const rows: Reach[] = [];
+      for (let at = 0; at < projects.length; at += AT_ONCE) {
+        const several = await Promise.all(projects.slice(at, at + AT_ONCE).map((project) => accessOf(project, personId, signal)));
+        rows.push(...several.flat());
+      }
+      return { rows, projects: projects.length };
+    },
+  });
+}
