@@ -4,6 +4,7 @@ import { counted, formatSize } from "@/components/format";
 export const texts = {
   projects: "Projects",
   about: "About",
+  aboutFile: "About this file",
   size: "Size",
   format: "Format",
   recorded: "Recorded",
