@@ -1,6 +1,106 @@
 // Written by `npm run generate` from docs/openapi.json. Do not edit.
 
 export interface paths {
+    "/api/v1/admin/health": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Health
+         * @description Say how database, store and workers are.
+         */
+        get: operations["get_admin_health"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/jobs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Jobs
+         * @description Show the queue, and the jobs that were given up.
+         */
+        get: operations["get_admin_jobs"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/jobs/{job_id}/retry": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Retry Job
+         * @description Put a job that was given up back into the queue.
+         */
+        post: operations["retry_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/settings": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Settings
+         * @description Show the settings in force, secrets left out.
+         */
+        get: operations["get_admin_settings"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/storage": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Storage
+         * @description Say what the store keeps, by state, and how full its disk is where that is known.
+         */
+        get: operations["get_admin_storage"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/audit": {
         parameters: {
             query?: never;
@@ -665,6 +765,26 @@ export interface paths {
          * @description Take somebody out of a group, or leave it.
          */
         delete: operations["remove_group_member"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/home": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Home
+         * @description Return what moved lately, what you left unfinished, what needs attention, and what all takes.
+         */
+        get: operations["get_home"];
+        put?: never;
+        post?: never;
+        delete?: never;
         options?: never;
         head?: never;
         patch?: never;
@@ -1677,6 +1797,81 @@ export interface components {
          */
         AccessThrough: "project grant" | "mission grant" | "public" | "admin";
         /**
+         * AdminHealth
+         * @description How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
+         */
+        AdminHealth: {
+            /** Clock Skew S */
+            clock_skew_s: number;
+            /** Database Bytes */
+            database_bytes: number;
+            /** Database Version */
+            database_version: string;
+            /** Not Ready */
+            not_ready: string | null;
+            /**
+             * Now
+             * Format: date-time
+             */
+            now: string;
+            /** Schema Version */
+            schema_version: string;
+            /** Store Checksum */
+            store_checksum: string;
+            /** Store Takes Pages */
+            store_takes_pages: boolean;
+            /** Store Writes Once */
+            store_writes_once: boolean;
+            /** Version */
+            version: string;
+            /** Workers At */
+            workers_at: string[];
+        };
+        /**
+         * AdminJobs
+         * @description The queue, and the jobs that were given up last, at most 100; each is forgotten after a week.
+         */
+        AdminJobs: {
+            /** Failed */
+            failed: components["schemas"]["FailedJob"][];
+            /** Queue */
+            queue: components["schemas"]["JobAmount"][];
+        };
+        /**
+         * AdminSettings
+         * @description The settings of the process that answered, by name.
+         */
+        AdminSettings: {
+            /** Settings */
+            settings: components["schemas"]["SettingRead"][];
+        };
+        /**
+         * AdminStorage
+         * @description What the store keeps, by state; what only the trash still holds; what is on its way; what goes at the next sweep.
+         *
+         *     A blob counts once, however many files are made of it.
+         */
+        AdminStorage: {
+            /** Blobs */
+            blobs: components["schemas"]["StateAmount"][];
+            doomed: components["schemas"]["StateAmount"];
+            /** Is Low */
+            is_low: boolean;
+            store: components["schemas"]["StoreUse"];
+            trash: components["schemas"]["StateAmount"];
+            uploads: components["schemas"]["StateAmount"];
+        };
+        /**
+         * Attention
+         * @description So many things of a kind that need somebody, in one mission where they are of one.
+         */
+        Attention: {
+            /** Count */
+            count: number;
+            mission?: components["schemas"]["MissionRef"] | null;
+            need: components["schemas"]["Need"];
+        };
+        /**
          * AuditRead
          * @description One event: who did what to what, with what changed.
          *
@@ -2069,6 +2264,22 @@ export interface components {
             query: string;
             /** Value */
             value: string;
+        };
+        /**
+         * FailedJob
+         * @description A job that was given up. `ref` is the id of what it was for. The worker's log says why, under the job's id.
+         */
+        FailedJob: {
+            /** Attempts */
+            attempts: number;
+            /** Failed At */
+            failed_at: string | null;
+            /** Id */
+            id: number;
+            /** Kind */
+            kind: string;
+            /** Ref */
+            ref: string | null;
         };
         /**
          * FieldProblem
@@ -2472,6 +2683,21 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * HomeRead
+         * @description `GET /api/v1/home`. Lists are bounded: the latest, the most pressing, the largest. `store` is for admins.
+         */
+        HomeRead: {
+            /** Attention */
+            attention: components["schemas"]["Attention"][];
+            /** Missions */
+            missions: components["schemas"]["RecentMission"][];
+            /** Storage */
+            storage: components["schemas"]["ProjectStorage"][];
+            store: components["schemas"]["StoreUse"] | null;
+            /** Uploads */
+            uploads: components["schemas"]["UnfinishedUpload"][];
+        };
+        /**
          * IdentityRead
          * @description Under whose word one signs in: `GET /me/identities`.
          */
@@ -2517,6 +2743,20 @@ export interface components {
             email: string;
             /** Name */
             name?: string | null;
+        };
+        /**
+         * JobAmount
+         * @description So many jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at` is since when the oldest waits.
+         */
+        JobAmount: {
+            /** Count */
+            count: number;
+            /** Kind */
+            kind: string;
+            /** Oldest At */
+            oldest_at: string | null;
+            /** State */
+            state: string;
         };
         JsonValue: unknown;
         /**
@@ -2898,6 +3138,12 @@ export interface components {
             /** Project Id */
             project_id?: string | null;
         };
+        /**
+         * Need
+         * @description What needs somebody. The last three are of the whole server, and for admins.
+         * @enum {string}
+         */
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
          * NotCompleted
          * @description The upload could not be finished; the problem says why and what to do.
@@ -3309,6 +3555,19 @@ export interface components {
          */
         ProjectSort: "name" | "-name" | "created" | "-created";
         /**
+         * ProjectStorage
+         * @description What a project takes. A file counts with all its bytes, whether or not others share them.
+         */
+        ProjectStorage: {
+            /** File Count */
+            file_count: number;
+            project: components["schemas"]["ProjectRef"];
+            /** Quota Bytes */
+            quota_bytes: number | null;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
          * ProjectUpdate
          * @description What to change of a project; what is left out stays. Fields are replaced as a whole.
          *
@@ -3368,6 +3627,22 @@ export interface components {
          * @enum {string}
          */
         ReadDepth: "summary" | "scan";
+        /**
+         * RecentMission
+         * @description A mission in which something arrived lately; `active_at` is when.
+         */
+        RecentMission: {
+            /**
+             * Active At
+             * Format: date-time
+             */
+            active_at: string;
+            /** File Count */
+            file_count: number;
+            mission: components["schemas"]["MissionRef"];
+            /** Size Bytes */
+            size_bytes: number;
+        };
         /**
          * RecordingRead
          * @description One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
@@ -3540,6 +3815,20 @@ export interface components {
             way: string;
         };
         /**
+         * SettingRead
+         * @description One setting in force. `is_set`: by the environment, else it is the default. A secret has no value here.
+         */
+        SettingRead: {
+            /** Is Secret */
+            is_secret: boolean;
+            /** Is Set */
+            is_set: boolean;
+            /** Name */
+            name: string;
+            /** Value */
+            value: unknown;
+        };
+        /**
          * ShareCreate
          * @description A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later.
          */
@@ -3680,6 +3969,18 @@ export interface components {
             providers: components["schemas"]["ProviderRef"][];
         };
         /**
+         * StateAmount
+         * @description So many blobs, or uploads, in a state, and their bytes.
+         */
+        StateAmount: {
+            /** Count */
+            count: number;
+            /** Size Bytes */
+            size_bytes: number;
+            /** State */
+            state: string;
+        };
+        /**
          * StatsRead
          * @description Statistics by `by` (`project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`), and in all.
          */
@@ -3711,6 +4012,18 @@ export interface components {
             recordings: number;
             /** Size Bytes */
             size_bytes: number;
+        };
+        /**
+         * StoreUse
+         * @description What the store holds, and what is free on its disk where that is this server's to know.
+         */
+        StoreUse: {
+            /** Disk Bytes */
+            disk_bytes: number | null;
+            /** Free Bytes */
+            free_bytes: number | null;
+            /** Used Bytes */
+            used_bytes: number;
         };
         /**
          * TimeAxis
@@ -3940,6 +4253,36 @@ export interface components {
          */
         Undeclared: "accept" | "refuse";
         /**
+         * UnfinishedUpload
+         * @description A file that somebody began to send. `sent_bytes` is what the store holds of it, null where it did not say.
+         *
+         *     It lapses at `expires_at`; until then the same file, chosen again, goes on where it stopped.
+         */
+        UnfinishedUpload: {
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * Format: date-time
+             */
+            expires_at: string;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            mission: components["schemas"]["MissionRef"];
+            /** Path */
+            path: string;
+            /** Sent Bytes */
+            sent_bytes: number | null;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
          * UploadBegin
          * @description Files to upload into one mission.
          */
@@ -4067,6 +4410,304 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    get_admin_health: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminHealth"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_jobs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminJobs"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    retry_job: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_settings: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminSettings"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_storage: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminStorage"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_audit_events: {
         parameters: {
             query?: {
@@ -7471,6 +8112,62 @@ export interface operations {
             };
             /** @description A failure, by its code: invalid_request. */
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_home: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HomeRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
                 headers: {
                     [name: string]: unknown;
                 };
