@@ -195,7 +195,7 @@ class SignedPart(BaseModel):
     upload_id: uuid.UUID
     number: PartNumber
     url: str
-    headers: dict[str, str]
+    headers: dict[str, Annotated[str, Field(pattern=r"^[\x20-\x7e]*$")]]
     expires_at: datetime.datetime
 
 

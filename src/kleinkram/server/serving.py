@@ -1,15 +1,25 @@
-"""The web server, told to end its streams before it waits for requests to end: they would not end by themselves."""
+"""The web server: ends its streams before it waits for requests to end, and bounds what comes before a request.
 
+What is in a request is bounded where it is read (`http`); its head is read by the server before anybody is asked.
+"""
+
+import asyncio
 import socket
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+_MOST_HEAD_BYTES = 64 * 1024
+_HEAD_WITHIN_S = 30.0
+_TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
 
 
 class ApiServer(uvicorn.Server):
     """Serves one app."""
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        config.http = BoundedHeads
         super().__init__(config)
         self._app = app
 
@@ -19,3 +29,52 @@ class ApiServer(uvicorn.Server):
         if hub is not None:
             hub.end()
         await super().shutdown(sockets)
+
+
+class BoundedHeads(HttpToolsProtocol):
+    """HTTP/1.1 whose heads (request line and headers) are bounded in size and time: who sends more is cut off."""
+
+    _timer: asyncio.TimerHandle | None = None
+    _is_in_head = False
+    _head_bytes = 0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Give the first request its time."""
+        super().connection_made(transport)
+        self._wait_for_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the time."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read on, unless too much came of a head that has no end."""
+        super().data_received(data)
+        if not self._is_in_head or self.transport.is_closing():
+            return
+        self._head_bytes += len(data)
+        if self._head_bytes > _MOST_HEAD_BYTES:
+            self.transport.write(_TOO_LARGE)
+            self.transport.close()
+
+    def on_message_begin(self) -> None:
+        """Begin a head."""
+        super().on_message_begin()
+        self._is_in_head, self._head_bytes = True, 0
+        self._wait_for_head()
+
+    def on_headers_complete(self) -> None:
+        """End a head."""
+        self._is_in_head = False
+        self._stop_waiting()
+        super().on_headers_complete()
+
+    def _wait_for_head(self) -> None:
+        self._stop_waiting()
+        self._timer = self.loop.call_later(_HEAD_WITHIN_S, self.transport.close)
+
+    def _stop_waiting(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
