@@ -87,6 +87,7 @@ def test_trouble_on_the_way(house: House, act: Act, pictures: Path, tmp_path: Pa
     terminal.run("verify", "-p", "Alps", "-m", "descent", day)
     assert "It was written to, moved or deleted after you chose it." in seen["changed"]
     assert "changing.raw" not in terminal.run("file", "list", "-p", "Alps").out
+    assert "Another tab of this browser is uploading it." in seen["other"]
     assert seen["elsewhere"].count("Another tab of this browser") == 1
     assert seen["cancelled"].startswith("Cancelled")
     assert seen["left"] == 0, "nothing is unfinished once it was cancelled"

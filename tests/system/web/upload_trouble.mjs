@@ -74,6 +74,8 @@ await reaches(40);
 const mission = (await panel.getByRole("link", { name: "descent" }).getAttribute("href")).split("/").at(-1);
 const elsewhere = await context.newPage();
 await elsewhere.goto(`${address}/upload?mission=${mission}`);
+await elsewhere.locator("[data-unfinished]").waitFor();
+seen.other = await elsewhere.locator("[data-unfinished]").innerText();
 await choose(elsewhere, changing, "Choose files");
 await begin(elsewhere);
 await elsewhere.locator("[data-phase=elsewhere]").waitFor();

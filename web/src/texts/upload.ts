@@ -181,6 +181,7 @@ export const texts = {
         changed > 0 ? `${counted(changed, "file")} changed since: what differs is sent anew` : "",
         missing > 0 ? `${counted(missing, "file")} missing in what you chose` : "",
       ].filter(Boolean).join(" · "),
+    elsewhere: "Another tab of this browser is uploading it.",
     noneFits: "None of the unfinished files is in what you chose. Choose the same folder as before.",
     missing: "Not found in what you chose",
     goOn: "Continue",

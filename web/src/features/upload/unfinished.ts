@@ -1,6 +1,6 @@
 // What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
 import { type Ref, shallowRef } from "vue";
-import type { JournalFile, JournalHead, Journal } from "./engine/journal";
+import { type Journal, type JournalFile, type JournalHead, lockName } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/nouns";
 
 /** An upload that did not come to its end. */
@@ -11,6 +11,8 @@ export interface Unfinished {
   readonly leftBytes: number;
   /** Of these, about how many are at the store already. */
   readonly heldBytes: number;
+  /** Another tab of this browser works on it. */
+  readonly isElsewhere: boolean;
 }
 
 /** How files chosen anew fit what was unfinished. */
@@ -24,7 +26,7 @@ export interface Fit {
 }
 
 /** Return what is left of an upload. */
-export async function summarised(journal: Journal, head: JournalHead): Promise<Unfinished> {
+async function summarised(journal: Journal, head: JournalHead, isElsewhere: boolean): Promise<Unfinished> {
   const files = await journal.files(head.id);
   const left = files.filter((file) => file.state !== "done");
   const leftBytes = left.reduce((sum, file) => sum + file.sizeBytes, 0);
@@ -33,7 +35,7 @@ export async function summarised(journal: Journal, head: JournalHead): Promise<U
     const parts = uploadId === null ? 0 : (await journal.parts(uploadId)).size;
     heldBytes += Math.min(sizeBytes, parts * partSizeBytes(sizeBytes));
   }
-  return { head, left, doneCount: files.length - left.length, leftBytes, heldBytes };
+  return { head, left, doneCount: files.length - left.length, leftBytes, heldBytes, isElsewhere };
 }
 
 /** Return how files chosen anew fit what is left. */
@@ -62,6 +64,13 @@ function journal(): Promise<Journal | null> {
   return opening;
 }
 
+/** Return the locks that tabs of this browser hold; none where the page came unsafely, and tabs have no locks. */
+async function locksHeld(): Promise<Set<string | undefined>> {
+  if (!("locks" in navigator)) return new Set();
+  const { held = [] } = await navigator.locks.query();
+  return new Set(held.map(({ name }) => name));
+}
+
 export interface UnfinishedUploads {
   readonly all: Ref<readonly Unfinished[]>;
   /** False where a reload would lose what is under way. */
@@ -79,7 +88,8 @@ export function useUnfinished(): UnfinishedUploads {
     isKept.value = kept !== null;
     if (kept === null) return;
     const found: Unfinished[] = [];
-    for (const head of await kept.heads(personId)) found.push(await summarised(kept, head));
+    const locks = await locksHeld();
+    for (const head of await kept.heads(personId)) found.push(await summarised(kept, head, locks.has(lockName(head.id))));
     all.value = found.filter(({ left }) => left.length > 0);
   }
 

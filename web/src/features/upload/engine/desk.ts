@@ -5,7 +5,7 @@ import { ApiProblem, Asking } from "./api";
 import { Hashing } from "./checksums";
 import type { Clock } from "./flow";
 import { Gate } from "./flow";
-import type { Journal, JournalHead } from "./journal";
+import { type Journal, type JournalHead, lockName } from "./journal";
 import type { Snapshot } from "./ledger";
 import { Ledger } from "./ledger";
 import type { Failure, PlannedFile } from "./nouns";
@@ -102,7 +102,7 @@ export class Desk {
     const run = this.opened(head, files);
     this.runs.set(head.id, run);
     const telling = this.telling(run);
-    if (!(await alone(`kleinkram-upload ${head.id}`, () => this.upload(run, head, files)))) run.phase = "elsewhere";
+    if (!(await alone(lockName(head.id), () => this.upload(run, head, files)))) run.phase = "elsewhere";
     run.stop.abort();
     await telling;
     this.runs.delete(head.id);

@@ -55,6 +55,11 @@ export interface Journal {
   remove(id: string, paths: readonly string[]): Promise<void>;
 }
 
+/** Return the name of the lock that a tab holds while it works on an upload. */
+export function lockName(id: string): string {
+  return `kleinkram-upload ${id}`;
+}
+
 export function journalId(personId: string, missionId: string): string {
   return `${personId}/${missionId}`;
 }

@@ -1,5 +1,5 @@
 // @vitest-environment node
-import { beforeEach, describe, expect, it } from "vitest";
+import { beforeEach, describe, expect, it, vi } from "vitest";
 import { Desk, type Report } from "./desk";
 import type { JournalHead } from "./journal";
 import { MemoryJournal } from "./memory";
@@ -12,6 +12,8 @@ const HEAD: JournalHead = {
   id: "ada/m", personId: "ada", layout: "tree", roots: ["day1"], beganMs: 0,
   mission: { id: "m", name: "M", projectId: "p", projectName: "P" },
 };
+vi.setConfig({ testTimeout: 30_000 }); // they hash megabytes, maybe on a machine that has much else to do
+
 const LARGE = 9 * 1024 * 1024;
 
 let clock: FastClock;
@@ -27,7 +29,9 @@ beforeEach(() => {
 });
 
 function bytesOf(sizeBytes: number, seed = 1): Uint8Array {
-  return Uint8Array.from({ length: sizeBytes }, (_, place) => (place * 31 + seed * (place >> 8) + seed) & 255);
+  const bytes = new Uint8Array(sizeBytes);
+  for (let place = 0; place < sizeBytes; place++) bytes[place] = place * 31 + seed * (place >> 8) + seed;
+  return bytes;
 }
 
 function planned(path: string, bytes: Uint8Array, modifiedMs = 1000): PlannedFile {
@@ -157,7 +161,7 @@ describe("after a reload", () => {
       if (phase === "running" && snapshot.troubles.includes("store")) at.pause(HEAD.id); // as a page that is closed: it does nothing more
     });
     void first.start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
-    await expect.poll(() => last().phase).toBe("paused");
+    await expect.poll(() => last().phase, { timeout: 20_000 }).toBe("paused");
     clock.freeze();
     clock = new FastClock();
     house.clock = clock;
