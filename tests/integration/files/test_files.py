@@ -192,7 +192,7 @@ def test_changing_a_file_takes_few_queries(api: Api, sample: Sample, mission: st
     file_id = sample.file(mission, "a.mcap")
     with api.statements() as statements:
         api.patch(f"/files/{file_id}", {"path": "b.mcap"}).ok()
-    assert len(statements) <= 15
+    assert len(statements) <= 16
 
 
 def test_topics_of_a_file_come_by_name_in_pages(api: Api, sample: Sample, mission: str) -> None:

@@ -28,7 +28,7 @@ def test_making_one_takes_few_queries_and_one_audit_row(api: Api) -> None:
     project = api.project()
     with api.statements() as statements:
         made = api.mission(project["id"], metadata_yaml="robot: spot\n")
-    assert len(statements) == 6  # who, fields, right, insert, read, record
+    assert len(statements) == 7  # who, fields, right, insert, read, record, tell
     (event,) = api.events(made["id"])
     assert (event["operation"], event["noun_name"]) == ("mission.create", made["name"])
     assert (event["before"], event["after"]) == ({}, {"name": made["name"], "metadata": {"robot": "spot"}})
