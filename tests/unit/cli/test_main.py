@@ -36,7 +36,17 @@ def test_every_command_explains_itself(name: str) -> None:
 @pytest.mark.parametrize("name", ["search", "stats", "download"])
 def test_the_filter_options_are_the_same_everywhere(name: str) -> None:
     shown = CliRunner().invoke(app, [name, "--help"]).output
-    for option in ("--query", "--project", "--where", "--topic", "--type", "--format", "--label", "--after", "--min-size"):
+    for option in (
+        "--query",
+        "--project",
+        "--where",
+        "--topic",
+        "--type",
+        "--format",
+        "--label",
+        "--after",
+        "--min-size",
+    ):
         assert option in shown
 
 
