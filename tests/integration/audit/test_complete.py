@@ -47,6 +47,7 @@ WRITES: dict[str, set[str]] = {
     "reactivate_person": {"[person.reactivate]"},
     "invite_person": {"invitation.create"},
     "create_reset_link": {"password.reset_link"},
+    "retry_job": {"[job.retry]"},
     "create_token": {"token.create"},
     "revoke_token": {"token.revoke"},
     "create_share": {"share.create"},
