@@ -4,6 +4,7 @@
 const operations: Readonly<Record<string, string>> = {
   "access.denied": "was denied",
   "admin.look": "looked, as an admin, at",
+  "job.retry": "had tried again",
   "auth.refused": "was refused at the door",
   "file.arrive": "moved here",
   "file.delete": "deleted",
@@ -64,7 +65,7 @@ export const texts = {
   lead: "Who did what to what, latest first: of all that you own; for admins, of everything. Nothing in it can be changed.",
   label: "What happened",
   operations,
-  columns: { at: "When", who: "Who", did: "What was done", more: "What changed" },
+  columns: { at: "When", who: "Who", did: "What was done", more: "Changed" },
   person: "Done by …",
   noun: "Of what",
   allNouns: "Anything",

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { deedOf, differences, doerOf, placeOf } from "./events";
+import { deedOf, differences, doerOf, objectOf, placeOf } from "./events";
 import type { AuditEvent } from "@/api/types";
 import { globOf } from "@/components/glob";
 
@@ -51,4 +51,9 @@ it("leads to what has a page", () => {
   expect(placeOf(event)).toEqual({ name: "project", params: { projectId: "p" } });
   expect(placeOf({ ...event, noun: "token" })).toBeNull();
   expect(placeOf({ ...event, noun_id: null })).toBeNull();
+});
+
+it("does not say a name twice of who signs in", () => {
+  expect(objectOf(event)).toBe("alpine");
+  expect(objectOf({ ...event, noun: "session", noun_name: "Ada" })).toBe("");
 });

@@ -51,6 +51,11 @@ export function deedOf(event: AuditEvent): string {
   return Object.hasOwn(texts.operations, event.operation) ? (texts.operations[event.operation] ?? "") : event.operation;
 }
 
+/** Returns the name of what it was done to; nothing where that is whoever did it, as who signs in. */
+export function objectOf(event: AuditEvent): string {
+  return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
+}
+
 /** Where the thing of an event is shown; null where nothing shows it. */
 export function placeOf(event: AuditEvent) {
   const id = event.noun_id;
