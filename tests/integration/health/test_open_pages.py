@@ -48,7 +48,7 @@ def test_why_it_is_not_ready_is_for_those_who_watch(start_api: StartApi) -> None
 
 def test_what_is_for_everybody_names_nothing(api: Api, sample: Sample) -> None:
     project = api.project(name="a secret of ours")
-    mission = api.mission(project["id"], name="outing to nowhere")
+    mission = api.mission(project["id"], name="outing to Zanskar")
     file = sample.file(mission["id"], "unheard-of.mcap")
     for path in (f"/projects/{project['id']}", f"/missions/{mission['id']}", f"/files/{file}"):
         api.get(path).ok()
