@@ -1,0 +1,111 @@
+// What the pages of projects ask the server, and what they have it do.
+import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { computed } from "vue";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import { usePages } from "@/api/pages";
+import type { components, operations } from "@/api/schema";
+import type { Mission, Project } from "@/api/types";
+
+type Schemas = components["schemas"];
+export type ProjectChange = Schemas["ProjectUpdate"];
+export type Overview = Schemas["Overview"];
+export type StatsRow = Schemas["StatsRow"];
+export type MissionQuery = NonNullable<operations["list_missions"]["parameters"]["query"]>;
+export type ProjectSort = Schemas["ProjectSort"];
+
+const PAGE = 100;
+const MOST_BUCKETS = 60;
+/** Missions that are drawn on one axis. */
+export const MOST_ON_AXIS = 1000;
+
+export function useProjects(text: () => string, sort: () => ProjectSort) {
+  return usePages<Project>(
+    () => keys.projects({ text: text(), sort: sort() }),
+    (cursor, signal) => {
+      const query = { limit: PAGE, sort: sort(), count: true, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
+      return call(api.GET("/api/v1/projects", { params: { query }, signal }));
+    },
+  );
+}
+
+export function useProject(projectId: string) {
+  return useQuery({
+    queryKey: keys.project(projectId),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/projects/{project_id}", { params: { path: { project_id: projectId } }, signal })),
+  });
+}
+
+export function useMissions(query: () => MissionQuery, isWanted: () => boolean) {
+  return usePages<Mission>(
+    () => keys.missions(query()),
+    (cursor, signal) =>
+      call(api.GET("/api/v1/missions", { params: { query: { limit: PAGE, count: true, ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
+    { enabled: isWanted },
+  );
+}
+
+/** The missions that were recorded first, for the axis. */
+export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boolean) {
+  return useQuery({
+    queryKey: computed(() => [...keys.missions(query()), "axis"]),
+    queryFn: async ({ signal }): Promise<readonly Mission[]> => {
+      const found: Mission[] = [];
+      for (let cursor: string | null | undefined; cursor !== null && found.length < MOST_ON_AXIS; ) {
+        const asked = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
+        const page = await call(api.GET("/api/v1/missions", { params: { query: asked }, signal }));
+        found.push(...page.items);
+        cursor = page.next ?? null;
+      }
+      return found;
+    },
+    enabled: isWanted,
+    placeholderData: keepPreviousData,
+  });
+}
+
+export function useProjectStats(projectId: string, by: () => string) {
+  return useQuery({
+    queryKey: computed(() => [...keys.project(projectId), "stats", by()]),
+    queryFn: ({ signal }) =>
+      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), most: MOST_BUCKETS } }, signal })),
+    placeholderData: keepPreviousData,
+  });
+}
+
+export function useCreateProject() {
+  const queries = useQueryClient();
+  return useMutation({
+    mutationFn: (body: { readonly name: string; readonly description: string }) => call(api.POST("/api/v1/projects", { body })),
+    onSuccess: () => void queries.invalidateQueries({ queryKey: ["projects"] }),
+    meta: { showsItself: true },
+  });
+}
+
+export function useProjectChanges(projectId: string) {
+  const queries = useQueryClient();
+  const path = { project_id: projectId };
+
+  function old(): void {
+    for (const noun of ["projects", "missions", "trash"]) void queries.invalidateQueries({ queryKey: [noun] });
+  }
+
+  const update = useMutation({
+    mutationFn: (body: ProjectChange) => call(api.PATCH("/api/v1/projects/{project_id}", { params: { path }, body })),
+    onSuccess: (project) => {
+      queries.setQueryData(keys.project(projectId), project);
+      old();
+    },
+    meta: { showsItself: true },
+  });
+  const remove = useMutation({
+    mutationFn: () => call(api.DELETE("/api/v1/projects/{project_id}", { params: { path } })),
+    onSuccess: old,
+    meta: { showsItself: true },
+  });
+  const restore = useMutation({
+    mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "project", noun_id: projectId } } })),
+    onSuccess: old,
+  });
+  return { update, remove, restore };
+}
