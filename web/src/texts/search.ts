@@ -11,7 +11,7 @@ export const texts = {
   placeholder: "alps topic:/imu/* size>1GB -label:draft",
   try: "For example",
   examples: ["topic:/camera/*", "size>1GB", "content:broken", "after:2026", "-label:draft"],
-  wrong: (column: number) => `This cannot be read, at column ${column}`,
+  wrong: "This cannot be read",
   emptyBox: "Empty the box",
 
   tabs: { label: "What was found", files: "Files", missions: "Missions", topics: "Topics" },
@@ -22,7 +22,6 @@ export const texts = {
     file: "File", mission: "Mission", content: "Content", labels: "Labels", start: "Recorded", size: "Size", files: "Files",
     topic: "Topic", type: "Type", messages: "Messages",
   },
-  found: (files: number, missions: number) => `${counted(files, "file")} in ${counted(missions, "mission")}`,
   firstTopics: (shown: number, all: number) => `The first ${formatCount(shown)} of ${counted(all, "topic")}; a word more finds fewer.`,
 
   facets: "Narrow down",
