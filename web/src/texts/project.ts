@@ -77,7 +77,7 @@ export const texts = {
     noMonth: "no time",
     other: "all others",
     total: "In all",
-    topics: "Topics",
+    topics: "topics",
     range: (low: number, high: number, unit: string) => `${low} – ${high}${unit === "" ? "" : ` ${unit}`}`,
     empty: "Nothing is recorded here yet",
     emptyWhy: "Numbers show here once missions have files.",

@@ -36,16 +36,13 @@ export function lanesOf(files: readonly TimelineFile[], axis: Span): Lanes {
   const lanes: Placed[][] = [];
   const gaps: Span[] = [];
   let [reached, coveredNs] = [axis.startNs, 0];
-  const ends: number[] = []; // of files that go on, so that those at once can be counted
-  let mostAtOnce = 0;
   for (const each of placed) {
     if (each.startNs - reached >= LEAST_GAP_NS) gaps.push({ startNs: reached, endNs: each.startNs });
     coveredNs += Math.max(0, each.endNs - Math.max(each.startNs, reached));
     reached = Math.max(reached, each.endNs);
     place(lanes, each);
-    mostAtOnce = Math.max(mostAtOnce, atOnce(ends, each));
   }
-  return { lanes, gaps, mostAtOnce, coveredNs, without: files.length - placed.length };
+  return { lanes, gaps, mostAtOnce: mostOf(placed), coveredNs, without: files.length - placed.length };
 }
 
 function place(lanes: Placed[][], each: Placed): void {
@@ -55,12 +52,15 @@ function place(lanes: Placed[][], each: Placed): void {
   else lanes.at(-1)?.push(each);
 }
 
-function atOnce(ends: number[], each: Placed): number {
-  let kept = 0;
-  for (const end of ends) if (end > each.startNs) ends[kept++] = end;
-  ends.length = kept;
-  ends.push(each.endNs);
-  return ends.length;
+/** How many files go on at once, at most. `placed` come by their beginning. */
+function mostOf(placed: readonly Placed[]): number {
+  const ends = placed.map((each) => each.endNs).sort((one, other) => one - other);
+  let [most, over] = [0, 0];
+  placed.forEach((each, begun) => {
+    while ((ends[over] ?? Infinity) <= each.startNs && over < begun) over += 1;
+    most = Math.max(most, begun + 1 - over);
+  });
+  return most;
 }
 
 /** Returns the bars of one lane as a path in a box of `COLUMNS` by 1, those of which `isWanted`; neighbours become one. */
