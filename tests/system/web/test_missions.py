@@ -1,0 +1,85 @@
+"""Missions in a real browser: metadata refused and accepted, many files, rights given and taken, names of markup."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
+from tests.acceptance.conftest import wait_until
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_FILES = 10_000
+_FOLDERS = 20
+_MARKUP = "<b>Alps<script>alert(1)"
+_MISSION = "<img src=x onerror=alert(2)>"
+_FIELDS = """
+undeclared: accept
+fields:
+  - {name: robot, type: choice, choices: [anymal, "<i>spot</i>"], required: true, description: "<u>which</u>"}
+  - {name: operator, type: string, pattern: "[a-z]+", required: true}
+"""
+_GUEST = "Grace Guest"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(540)
+def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    said = tmp_path / "mission.yaml"
+    said.write_text('robot: anymal\noperator: ada\nplace: "<svg onload=alert(3)>"\n')
+    day = tmp_path / "day"
+    day.mkdir()
+    generate_mcap(day / "drive.mcap", duration_s=12, faults=Faults(gap=TopicGap("/imu/data", 3, 4)))
+    generate_bag(day / "cut.bag", duration_s=10, faults=Faults(truncate_to=0.6))
+    (day / "<a href=x>.txt").write_text("named by somebody who tries")
+    many = tmp_path / "many"
+    for number in range(_FILES):
+        folder = many / f"scan_{number % _FOLDERS:02}"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"frame_{number:04}.txt").write_text("the same bytes, kept once")
+    terminal.run("project", "create", _MARKUP, "--fields", tmp_path / "fields.yaml")
+    place = ("-p", _MARKUP, "--create", "--metadata", said)
+    terminal.run("upload", *place, "-m", _MISSION, f"{day}/", "--wait")
+    bulk = terminal.start("upload", *place, "-m", "many", f"{many}/")
+    out, err = bulk.communicate(timeout=240)
+    assert bulk.returncode == 0, out[-500:] + err
+    projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
+    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    invited = terminal.run("person", "invite", "grace@example.org", "--name", _GUEST, "--json").json()
+    wait_until(lambda: _topics_are_there(house, missions[_MISSION]), "the topics to be added up")
+    seen = act(
+        "missions.mjs",
+        house,
+        invited["url"],
+        _GUEST,
+        projects[_MARKUP],
+        missions[_MISSION],
+        missions["many"],
+        pictures,
+        timeout_s=300,
+    )
+
+    assert seen["complaints"] == []
+    assert seen["dialogs"] == 0, "markup was run"
+    assert seen["elements"] == 0, "markup was made of what people said"
+    assert seen["axe"] == []
+    assert seen["wide"] == []
+    assert seen["title"] == _MISSION
+    assert "must match" in seen["refused"]
+    assert "grace" in seen["accepted"]
+    assert "ada" not in seen["accepted"].split()
+    assert "/imu/data" in seen["topics"]
+    assert seen["rows"] == _FILES + _FOLDERS + 1
+    assert max(seen["drawn"], seen["drawnAtEnd"]) < 120, "all rows were drawn"
+    assert seen["granted"] == _MISSION
+    assert "not" in seen["before"], "nobody has given them anything yet"
+    assert "not" in seen["revoked"]
+
+
+def _topics_are_there(house: House, mission_id: str) -> bool:
+    told = house.terminal.run("mission", "info", mission_id, "--json").json()
+    return "/imu/data" in json.dumps(told)
