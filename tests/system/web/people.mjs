@@ -37,6 +37,7 @@ async function look(page, name, path, ready) {
     await page.emulateMedia({ colorScheme });
     await page.setViewportSize({ width, height: 900 });
     await ready.first().waitFor();
+    await page.evaluate(() => Promise.allSettled(document.getAnimations().filter(({ effect }) => effect.getTiming().iterations === 1).map(({ finished }) => finished)));
     await page.evaluate(axe);
     const found = await page.evaluate((runOnly) => globalThis.axe.run(document, { runOnly }), RULES);
     seen.axe.push(...found.violations.map(({ id, nodes }) => `${name} ${kind}: ${id} ${nodes[0]?.html}`));
