@@ -1,0 +1,73 @@
+"""Searching in a real browser: from a word to the files on a disk."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import generate_mcap
+from tests.acceptance.conftest import KLEIN, wait_until
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(280)
+def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    sources: dict[str, bytes] = {}
+    for seed, (project, mission) in enumerate([("Alps", "traverse"), ("Alps", _MARKUP), ("Lakes", "night")]):
+        folder = tmp_path / f"from-{seed}"
+        folder.mkdir()
+        recording = generate_mcap(folder / "drive.mcap", size_bytes=200_000, seed=seed + 1).path
+        sources[mission] = Path(recording).read_bytes()
+        (folder / "notes.txt").write_text(f"{mission}\n")
+        (folder / "cut.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+        terminal.run("project", "create", project, code=None)
+        terminal.run("upload", "-p", project, "-m", mission, "--create", f"{folder}/")
+    terminal.run("project", "update", "Lakes", "--public")
+
+    def contents() -> list[str]:
+        return [file["content"] for file in terminal.run("file", "list", "--json").json()["items"]]
+
+    wait_until(lambda: "pending" not in contents(), "the files to be read")
+    wait_until(lambda: contents().count("indexed") == len(sources), "the recordings to be known")
+
+    seen = act("search.mjs", house, pictures)
+
+    assert seen["complaints"] == []
+    assert seen["axe"] == []
+    assert max(seen["wide"].values()) <= 0, f"nothing is wider than the page: {seen['wide']}"
+    assert "1 file broken" in seen["home"]
+    assert _MARKUP in seen["home"]
+    assert [tab.split() for tab in seen["all"]] == [["Files", "9"], ["Missions", "3"], ["Topics", "7"]]
+    typed = seen["typed"]
+    assert typed["asked"] == "alps topic:/imu/* format:mcap"
+    assert typed["command"].strip() == "klein search 'alps topic:/imu/* format:mcap'"
+    assert sorted(row.split("\n")[-1] for row in typed["rows"]) == sorted([f"Alps / {_MARKUP}", "Alps / traverse"])
+    assert seen["back"] == {"asked": typed["asked"], "box": typed["asked"]}
+    assert seen["faceted"]["query"] == seen["faceted"]["box"]
+    assert seen["wrong"]["mark"] == "size:big"
+    assert "column 6" in seen["wrong"]["told"]
+    assert seen["wrong"]["rows"] == 2, "what was found before stays in sight"
+    assert [row.split("\n")[0] for row in seen["markup"]["rows"]] == [_MARKUP]
+    assert seen["markup"]["elements"] == 0
+    assert 'mission:"Wet *" topic:/imu/data' in seen["topic"]
+    assert {file["path"] for file in terminal.run("file", "list", "--label", "icra 27", "--json").json()["items"]} == {
+        "drive.mcap"
+    }
+    assert [row.split("\n")[0] for row in seen["public"]] == ["Lakes"]
+    assert {row.split("\n")[-1] for row in seen["publicRows"]} == {"Lakes / night"}
+    assert seen["publicBoxes"] == 0, "nothing is to be chosen by people without an account"
+
+    assert seen["amount"].startswith("2 files, ")
+    script = tmp_path / "download.sh"
+    script.write_text(seen["script"])
+    path = f"{KLEIN.parent}:{terminal.environment['PATH']}"
+    fetched = tmp_path / "fetched"
+    subprocess.run(["sh", script, fetched], check=True, env={**terminal.environment, "PATH": path}, timeout=60)
+    bytes_of = sorted(file.read_bytes() for file in fetched.rglob("*") if file.is_file())
+    assert bytes_of == sorted(content for mission, content in sources.items() if mission != "night")
