@@ -159,9 +159,15 @@ def test_who_is_invited_gets_an_account_and_is_let_in_further(
     terminal.run("access", "grant", "READ", "--to", email, "-p", project)
     away.run("mission", "list", "-p", project)
     assert "CREATE" in away.run("mission", "create", "walk", "-p", project, code=4).err
+
+    def token() -> str:
+        (kept,) = saved(away)["endpoints"].values()
+        return str(kept["token"])
+
     again = urlsplit(terminal.run("person", "reset", email).out.strip())
-    replace(ben, cookie=ben.sign_in("/auth/reset", {**chosen, "code": again.fragment}))
-    (kept,) = saved(away)["endpoints"].values()
-    assert browser.status_of(kept["token"]) == 200
+    ben = replace(ben, cookie=ben.sign_in("/auth/reset", {**chosen, "code": again.fragment}))
+    assert browser.status_of(token()) == 401, "who had the old password has no token by it either"
+    log_in(away, ben)
+    assert browser.status_of(token()) == 200
     terminal.run("person", "deactivate", email, "--yes")
-    assert browser.status_of(kept["token"]) == 401
+    assert browser.status_of(token()) == 401

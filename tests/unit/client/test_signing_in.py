@@ -140,7 +140,7 @@ def test_ending_a_token_revokes_that_very_one() -> None:
         assert end_token(server.url, "mine") is True
     assert [(asked.method, asked.path) for asked in server.asked] == [
         ("GET", "/api/v1/me"),
-        ("DELETE", f"/api/v1/tokens/{ME.credential.id}"),
+        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
     ]
     assert {asked.authorization for asked in server.asked} == {"Bearer mine"}
 
