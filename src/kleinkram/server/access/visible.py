@@ -5,6 +5,8 @@ and anybody may read what is public. A credential with limits reaches nothing ou
 """
 
 import datetime
+import functools
+import uuid
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -294,9 +296,16 @@ def _public_level() -> ColumnElement[int]:
 
 
 def _my_memberships(actor: Actor, still: Still = unexpired) -> ColumnElement[Any]:
-    mine = select(membership.c.group_id).where(
-        membership.c.person_id == actor.person_id, still(membership.c.expires_at)
-    )
+    return _memberships(actor.person_id) if still is unexpired else _memberships_still(actor.person_id, still)
+
+
+@functools.lru_cache(maxsize=1000)  # a list's statement holds it several times, and is made for each request
+def _memberships(person_id: uuid.UUID | None) -> ColumnElement[Any]:
+    return _memberships_still(person_id, unexpired)
+
+
+def _memberships_still(person_id: uuid.UUID | None, still: Still) -> ColumnElement[Any]:
+    mine = select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
     return func.array(mine.correlate(None).scalar_subquery())
 
 
