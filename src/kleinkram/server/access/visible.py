@@ -45,6 +45,11 @@ from kleinkram.server.tables import (
 
 # What says of a time of expiry that something is not over.
 Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
+# A column of a grant, and that of the row it is a grant on.
+Place = tuple[ColumnElement[Any], ColumnElement[Any]]
+# Putting these into words again with each request would cost about as much as asking the database for them: so much is
+# kept of who asked last.
+_KEPT = 1000
 # Whoever is in one of these together knows of each other; all admins of a server need not.
 _SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
 _GROUPS = (*_SHARED, GroupKind.admins.value)
@@ -84,7 +89,7 @@ def reached_missions(actor: Actor) -> Select[Any]:
 
 def standing(actor: Actor) -> Select[Any]:
     """Return a text that is another one as soon as what is granted to `actor`, or to everybody, is something else."""
-    mine = (access_grant.c.group_id == any_(_my_memberships(actor))) & unexpired(access_grant.c.expires_at)
+    mine = (access_grant.c.group_id == any_(_memberships(actor.person_id))) & unexpired(access_grant.c.expires_at)
     place = func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
     granted = select(func.concat(place, " ", access_grant.c.level).label("said")).where(mine)
     public = select(func.concat(_public.c.id, " public").label("said")).where(_public.c.is_public)
@@ -154,7 +159,7 @@ def level_on_project(actor: Actor) -> ColumnElement[int]:
     """Return the level of `actor`'s right on each `project` of a select; 0 where there is none."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return func.greatest(_public_level(), _granted_level(actor, access_grant.c.project_id == project.c.id, project))
+    return func.greatest(_public_level(), _granted_level(actor, (access_grant.c.project_id, project.c.id), project))
 
 
 def level_on_mission(actor: Actor) -> ColumnElement[int]:
@@ -170,7 +175,7 @@ def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> C
     """Return the level of `actor`'s right on each `project` of a select that lasts until then, or for good."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return _granted_level(actor, access_grant.c.project_id == project.c.id, project, _lasting(until))
+    return _granted_level(actor, (access_grant.c.project_id, project.c.id), project, _lasting(until))
 
 
 def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
@@ -295,16 +300,8 @@ def _public_level() -> ColumnElement[int]:
     return case((project.c.is_public, Right.read.level), else_=0)
 
 
-def _my_memberships(actor: Actor, still: Still = unexpired) -> ColumnElement[Any]:
-    return _memberships(actor.person_id) if still is unexpired else _memberships_still(actor.person_id, still)
-
-
-@functools.lru_cache(maxsize=1000)  # a list's statement holds it several times, and is made for each request
-def _memberships(person_id: uuid.UUID | None) -> ColumnElement[Any]:
-    return _memberships_still(person_id, unexpired)
-
-
-def _memberships_still(person_id: uuid.UUID | None, still: Still) -> ColumnElement[Any]:
+@functools.lru_cache(maxsize=_KEPT)
+def _memberships(person_id: uuid.UUID | None, still: Still = unexpired) -> ColumnElement[Any]:
     mine = select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
     return func.array(mine.correlate(None).scalar_subquery())
 
@@ -316,20 +313,33 @@ def _lasting(until: datetime.datetime | None) -> Still:
 
 
 def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[Any]:
+    return _granted_to(actor.person_id, place, right)
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _granted_to(person_id: uuid.UUID | None, place: ColumnElement[Any], right: Right) -> Select[Any]:
     # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
-    mine = (access_grant.c.group_id == any_(_my_memberships(actor))) & unexpired(access_grant.c.expires_at)
+    mine = (access_grant.c.group_id == any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
 def _levels_granted_on_mission(actor: Actor, still: Still = unexpired) -> list[ColumnElement[int]]:
     # Two looks, each into its own index: with OR, the database may well go through all grants of all the groups.
-    places = (access_grant.c.project_id == mission.c.project_id, access_grant.c.mission_id == mission.c.id)
-    return [_granted_level(actor, place, mission, still) for place in places]
+    return [
+        _granted_level(actor, (access_grant.c.project_id, mission.c.project_id), mission, still),
+        _granted_level(actor, (access_grant.c.mission_id, mission.c.id), mission, still),
+    ]
 
 
-def _granted_level(
-    actor: Actor, place: ColumnElement[bool], outer: Any, still: Still = unexpired
-) -> ColumnElement[int]:
-    mine = (access_grant.c.group_id == any_(_my_memberships(actor, still))) & still(access_grant.c.expires_at)
-    highest = select(func.coalesce(func.max(access_grant.c.level), 0)).where(mine, place)
+def _granted_level(actor: Actor, place: Place, outer: Any, still: Still = unexpired) -> ColumnElement[int]:
+    # What lasts until some moment is asked for seldom, and each time of another.
+    level = _level_granted_to if still is unexpired else _level_granted_to.__wrapped__
+    return level(actor.person_id, place, outer, still)
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _level_granted_to(person_id: uuid.UUID | None, place: Place, outer: Any, still: Still) -> ColumnElement[int]:
+    granted_on, here = place
+    mine = (access_grant.c.group_id == any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)
+    highest = select(func.coalesce(func.max(access_grant.c.level), 0)).where(mine, granted_on == here)
     return highest.correlate(outer).scalar_subquery()
