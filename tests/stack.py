@@ -120,7 +120,8 @@ def _store() -> Iterator[RunningStore]:
             access_key=secrets.token_hex(10),
             secret_key=secrets.token_hex(20),
         )
-        process = store.start(plan)
+        # Each bucket takes a volume at least, and weed counts as many as would fit on the disk when full.
+        process = store.start(plan, extra=["-master.volumeSizeLimitMB=64"])
         try:
             _wait_until(lambda: s3.proves_ready(plan.access, store.BUCKET), process, plan.log)
             access = plan.access

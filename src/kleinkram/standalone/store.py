@@ -12,6 +12,7 @@ import secrets
 import signal
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,8 +56,8 @@ class StoreFolder:
         return StoreAccess(f"http://127.0.0.1:{self.ports['s3']}", self.access_key, self.secret_key)
 
 
-def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
-    """Start the store on loopback. Returns before it is ready (see `s3.proves_ready`)."""
+def start(store: StoreFolder, *, extra: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
+    """Start the store on loopback, `extra` flags last. Returns before it is ready (see `s3.proves_ready`)."""
     objects = store.folder / "objects"
     objects.mkdir(parents=True, exist_ok=True)
     # weed writes its flags there and takes them for ours at the next start.
@@ -93,7 +94,7 @@ def start(store: StoreFolder) -> "subprocess.Popen[bytes]":
     if store.tls:
         certificate, key = store.tls
         arguments += [f"-s3.port.https={ports['s3_tls']}", f"-s3.cert.file={certificate}", f"-s3.key.file={key}"]
-    return spawn(_as_child(store, arguments))
+    return spawn(_as_child(store, [*arguments, *extra]))
 
 
 def _as_child(store: StoreFolder, arguments: list[str]) -> Command:
