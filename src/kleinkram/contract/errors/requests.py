@@ -1,0 +1,128 @@
+"""What was asked for is not there, or was asked in a way that cannot be answered."""
+
+from dataclasses import dataclass
+
+from kleinkram.contract.errors.base import ErrorCode, FieldProblem, KleinkramError
+
+
+@dataclass(eq=False)
+class NotFound(KleinkramError):
+    """There is no {noun} {ref!r} that you may see."""
+
+    code = ErrorCode.not_found
+    status = 404
+    noun: str
+    ref: str
+
+
+@dataclass(eq=False)
+class AmbiguousName(KleinkramError):
+    """{ref!r} names more than one {noun}: {listing}. Say which, by its id or with what holds it."""
+
+    code = ErrorCode.ambiguous_name
+    status = 409
+    noun: str
+    ref: str
+    candidates: list[str]
+
+    @property
+    def listing(self) -> str:
+        """The candidates, as a person reads them."""
+        return "; ".join(self.candidates)
+
+
+@dataclass(eq=False)
+class NameTaken(KleinkramError):
+    """There already is a {noun} named {name!r} here (names that differ only in case or Unicode form are the same)."""
+
+    code = ErrorCode.name_taken
+    status = 409
+    noun: str
+    name: str
+
+
+@dataclass(eq=False)
+class _ProblemsError(KleinkramError):
+    problems: list[FieldProblem]
+
+    def fields(self) -> dict[str, object]:
+        return {"problems": [problem.model_dump(exclude_none=True) for problem in self.problems]}
+
+    def sentence(self) -> str:
+        listing = "; ".join(f"{problem.field}: {problem.message}" for problem in self.problems)
+        return f"{type(self).__doc__} {listing}"
+
+
+@dataclass(eq=False)
+class InvalidRequest(_ProblemsError):
+    """The request is not as the API wants it:"""
+
+    code = ErrorCode.invalid_request
+    status = 422
+
+
+@dataclass(eq=False)
+class InvalidQuery(KleinkramError):
+    """The filter {expression!r} cannot be used: {reason}"""
+
+    code = ErrorCode.invalid_query
+    status = 422
+    expression: str
+    reason: str
+    # Where in the text of a query it stands, from 1; None for a filter that is no text.
+    column: int | None = None
+
+
+@dataclass(eq=False)
+class InvalidCursor(KleinkramError):
+    """The page cursor is not one that this list gave out. Start again from the first page."""
+
+    code = ErrorCode.invalid_cursor
+    status = 422
+
+
+@dataclass(eq=False)
+class YamlInvalid(KleinkramError):
+    """The YAML cannot be read at line {line}, column {column}: {reason}"""
+
+    code = ErrorCode.yaml_invalid
+    status = 422
+    line: int
+    column: int
+    reason: str
+
+
+@dataclass(eq=False)
+class FieldsInvalid(_ProblemsError):
+    """The metadata field definitions are not usable:"""
+
+    code = ErrorCode.fields_invalid
+    status = 422
+
+
+@dataclass(eq=False)
+class MetadataInvalid(_ProblemsError):
+    """The metadata does not satisfy what the project requires:"""
+
+    code = ErrorCode.metadata_invalid
+    status = 422
+
+
+@dataclass(eq=False)
+class BodyTooLarge(KleinkramError):
+    """The request has {size_bytes} bytes; {limit_bytes} are allowed. Send less at a time."""
+
+    code = ErrorCode.body_too_large
+    status = 413
+    size_bytes: int
+    limit_bytes: int
+
+
+@dataclass(eq=False)
+class MethodNotAllowed(KleinkramError):
+    """{method} is not something that {path} answers."""
+
+    code = ErrorCode.method_not_allowed
+    status = 405
+    method: str
+    path: str

@@ -1,0 +1,60 @@
+"""Failures as problem documents (RFC 9457), there and back."""
+
+from dataclasses import fields
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from kleinkram.contract.errors import files, requests, rights, server, signing_in
+from kleinkram.contract.errors.base import ErrorCode, KleinkramError
+from kleinkram.contract.errors.server import InternalError
+
+ERRORS: dict[ErrorCode, type[KleinkramError]] = {
+    cls.code: cls
+    for module in (signing_in, rights, requests, files, server)
+    for cls in vars(module).values()
+    if isinstance(cls, type) and issubclass(cls, KleinkramError) and hasattr(cls, "code")
+}
+
+
+class ProblemDocument(BaseModel):
+    """A failure on the wire (RFC 9457); the fields of the error's class stand beside these."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: ErrorCode
+    request_id: str | None = None
+
+
+def to_problem(error: KleinkramError, request_id: str | None) -> ProblemDocument:
+    """Return the problem document of an error."""
+    extra: dict[str, Any] = error.fields()  # Any: pydantic's extra values are untyped by design
+    return ProblemDocument(
+        type=f"urn:kleinkram:error:{error.code.value}",
+        title=error.code.value.replace("_", " "),
+        status=error.status,
+        detail=error.sentence(),
+        code=error.code,
+        request_id=request_id,
+        **{key: value for key, value in extra.items() if key != "request_id"},
+    )
+
+
+def from_problem(problem: ProblemDocument) -> KleinkramError:
+    """Return the error that a problem document stands for.
+
+    A server newer than this client may leave out or add fields; what is missing makes it an `InternalError`
+    carrying the request id rather than a wrong sentence.
+    """
+    cls = ERRORS[problem.code]
+    given = {**(problem.model_extra or {}), "request_id": problem.request_id or "unknown"}
+    wanted = {field.name for field in fields(cls)}
+    try:
+        error: KleinkramError = TypeAdapter(cls).validate_python({k: v for k, v in given.items() if k in wanted})
+    except ValidationError:
+        return InternalError(request_id=problem.request_id or "unknown")
+    return error
