@@ -1,7 +1,7 @@
 """The API for tests that speak HTTP with it: one for the whole session, or one with settings of its own."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from tests.integration.sample import Sample
 from tests.stack import RunningPostgres, RunningStore
 
 StartApi = Callable[..., Api]
+Starting = Callable[[], AbstractContextManager[StartApi]]
 _LIMITS = [f"{what}_per_minute" for what in ("sign_ins", "searches", "downloads", "uploads", "proofs", "exports")]
 
 
@@ -28,36 +29,49 @@ def template_database(postgres: RunningPostgres) -> str:
 
 
 @pytest.fixture(scope="session")
-def start_api(
+def starting(
     postgres: RunningPostgres, store: RunningStore, template_database: str, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[StartApi]:
-    """A function that starts an API with a new database and bucket, given settings; it runs until the session ends."""
-    with ExitStack() as stack:
+) -> Starting:
+    """A block of code that may start APIs, each with a new database and bucket; they end with the block."""
 
-        def start(**settings: Any) -> Api:
-            name = postgres.create_database(template=template_database)
-            stack.callback(postgres.drop_database, name)
-            values = {
-                "database_url": postgres.serve_url(name),
-                "s3_internal_url": store.endpoint,
-                "s3_bucket": store.create_bucket(),
-                "s3_region": store.region,
-                "s3_access_key": store.access_key,
-                "s3_secret_key": store.secret_key,
-                # Tests ask faster than people; those of limits set them.
-                **dict.fromkeys(_LIMITS, 0),
-                **settings,
-            }
-            folder: Path = tmp_path_factory.mktemp("api")
-            return stack.enter_context(serving(values, admin_url=postgres.migrate_url(name), folder=folder))
+    @contextmanager
+    def block() -> Iterator[StartApi]:
+        with ExitStack() as stack:
 
+            def start(**settings: Any) -> Api:
+                name = postgres.create_database(template=template_database)
+                stack.callback(postgres.drop_database, name)
+                values = {
+                    "database_url": postgres.serve_url(name),
+                    "s3_internal_url": store.endpoint,
+                    "s3_bucket": store.create_bucket(),
+                    "s3_region": store.region,
+                    "s3_access_key": store.access_key,
+                    "s3_secret_key": store.secret_key,
+                    # Tests ask faster than people; those of limits set them.
+                    **dict.fromkeys(_LIMITS, 0),
+                    **settings,
+                }
+                folder: Path = tmp_path_factory.mktemp("api")
+                return stack.enter_context(serving(values, admin_url=postgres.migrate_url(name), folder=folder))
+
+            yield start
+
+    return block
+
+
+@pytest.fixture(scope="module")
+def start_api(starting: Starting) -> Iterator[StartApi]:
+    """A function that starts an API, given settings; it runs until the module ends."""
+    with starting() as start:
         yield start
 
 
 @pytest.fixture(scope="session")
-def api(start_api: StartApi) -> Api:
+def api(starting: Starting) -> Iterator[Api]:
     """The session's API. Tests share it, so each makes a project of its own and looks at nothing else."""
-    return start_api()
+    with starting() as start:
+        yield start()
 
 
 @pytest.fixture(scope="session")
@@ -67,6 +81,7 @@ def sample(api: Api) -> Sample:
 
 
 @pytest.fixture(scope="session")
-def corpus(start_api: StartApi, recordings_dir: Path) -> Corpus:
+def corpus(starting: Starting, recordings_dir: Path) -> Iterator[Corpus]:
     """The real recordings in a mission of an API of their own, summarised, proven and grouped."""
-    return upload_corpus(start_api(), recordings_dir)
+    with starting() as start:
+        yield upload_corpus(start(), recordings_dir)

@@ -7,9 +7,9 @@ from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def api(start_api: StartApi) -> Api:
-    """The package's API; without limits on how often somebody may try."""
+    """The module's API; without limits on how often somebody may try."""
     return start_api()
 
 
