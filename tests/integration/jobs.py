@@ -10,6 +10,7 @@ from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
@@ -44,6 +45,7 @@ async def drain(site: Site, courtesy: Courtesy) -> None:
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
+                worker_middleware=[keep_why],
                 additional_context={
                     "site": site,
                     "readers": readers,

@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "share": ("kleinkram.cli.share", "app", "Links for people without an account: create, list, revoke."),
     "trash": ("kleinkram.cli.trash", "app", "What was deleted: list, restore."),
     "audit": ("kleinkram.cli.audit", "audit", "Who did what, when."),
+    "admin": ("kleinkram.cli.admin", "app", "The whole server, for admins: storage, jobs, retry, health."),
     "inspect": ("kleinkram.cli.inspect", "inspect", "Say what is in local recordings, without a server."),
     "sample": ("kleinkram.cli.sample", "sample", "Make a sample mission of realistic recordings."),
     "endpoint": ("kleinkram.cli.endpoint", "app", "Which server commands talk to."),

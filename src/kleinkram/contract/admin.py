@@ -44,13 +44,16 @@ class JobAmount(_Told):
 
 
 class FailedJob(_Told):
-    """A job that was given up. `ref` is the id of what it was for. The worker's log says why, under the job's id."""
+    """A job that was given up. `ref` is the id of what it was for; `error` says why, where that could be kept, and the
+    worker's log says more.
+    """
 
     id: int
     kind: str
     ref: str | None
     attempts: int
     failed_at: datetime.datetime | None
+    error: str | None
 
 
 class AdminJobs(_Told):

@@ -1,6 +1,5 @@
 """The composition root: everything is put together here, and nobody imports it."""
 
-import asyncio
 import logging
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
@@ -12,7 +11,7 @@ from fastapi.routing import APIRoute
 import kleinkram
 from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
-from kleinkram.server.access.owner import ensure_owner
+from kleinkram.server.access.owner import let_owner_in
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
@@ -100,30 +99,32 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         database = open_database(settings)
-        async with (
-            open_storage(settings) as store,
-            open_providers(settings) as providers,
-            open_hub(settings) as app.state.hub,
-        ):
-            abilities = await probe(store)
-            owner_token = await _read_owner_token(settings)
-            async with database.begin() as db:
-                await record_probe(db, settings.store_id, abilities)
-                await ensure_affiliations(db, settings.affiliations)
-                if owner_token:
-                    await ensure_owner(db, owner_token)
-                else:
-                    await offer_claim(db)
-            app.state.database = database
-            app.state.providers = providers
-            app.state.passwords = Passwords()
-            app.state.storage = store.with_abilities(abilities)
-            app.state.pages_may_send = await open_to_pages(store, settings)
-            _log.info(
-                "serving", extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}}
-            )
-            yield
-        await database.close()
+        try:
+            async with (
+                open_storage(settings) as store,
+                open_providers(settings) as providers,
+                open_hub(settings) as app.state.hub,
+            ):
+                abilities = await probe(store)
+                async with database.begin() as db:
+                    await record_probe(db, settings.store_id, abilities)
+                    await ensure_affiliations(db, settings.affiliations)
+                    if settings.owner_token_file is None:
+                        await offer_claim(db)
+                    else:
+                        await let_owner_in(db, settings.owner_token_file)
+                app.state.database = database
+                app.state.providers = providers
+                app.state.passwords = Passwords()
+                app.state.storage = store.with_abilities(abilities)
+                app.state.pages_may_send = await open_to_pages(store, settings)
+                _log.info(
+                    "serving",
+                    extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}},
+                )
+                yield
+        finally:
+            await database.close()
 
     see_that_all_are_guarded(ROUTERS)
     app = _Described(
@@ -161,9 +162,3 @@ def see_that_all_are_guarded(routers: Sequence[APIRouter]) -> None:
         path = getattr(route, "path", str(route))
         if not is_guarded and path not in OPEN_PAGES:
             raise RuntimeError(f"{path} has no row in access/operations.py, or does not ask who comes")
-
-
-async def _read_owner_token(settings: Settings) -> str | None:
-    if settings.owner_token_file is None:
-        return None
-    return (await asyncio.to_thread(settings.owner_token_file.read_text, encoding="ascii")).strip()

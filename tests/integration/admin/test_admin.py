@@ -5,9 +5,12 @@ import json
 import pytest
 
 from kleinkram.client import connect
-from kleinkram.contract.errors import NotFound
+from kleinkram.contract.errors import NotFound, StoreUnavailable
+from kleinkram.server.blobs import service
+from kleinkram.server.jobs.context import ATTEMPTS
 from tests.integration import people
 from tests.integration.conftest import StartApi
+from tests.integration.jobs import run_jobs
 from tests.integration.running import Api
 from tests.integration.sample import Sample
 from tests.integration.uploading import begin
@@ -47,6 +50,33 @@ def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
     assert lab.sql("SELECT status::text FROM procrastinate_jobs WHERE id = %s", job_id) == [("todo",)]
     (event,) = lab.all("/audit", {"operation": "job.retry"})
     assert event["after"] == {"job": job_id}
+
+
+def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = Sample(lab)
+    blob_id = str(sample.blob(size_bytes=3))
+    fails = [StoreUnavailable(reason="it is on holiday")]
+
+    async def read(*_: object) -> None:
+        if fails:
+            raise fails[0]
+
+    monkeypatch.setattr(service, "get_blob", read)
+    job_id = lab.sql(
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, args)"
+        " VALUES ('default', 'summarise_blob', %s, jsonb_build_object('ref', %s::text)) RETURNING id",
+        *(ATTEMPTS, blob_id),
+    )[0][0]
+    run_jobs(lab)
+    with connect(lab.url, lab.token) as client:
+        (told,) = [each for each in client.admin.jobs().failed if each.id == job_id]
+        assert told.error == fails[0].sentence()
+        fails.clear()
+        client.admin.retry_job(job_id)
+        assert [each for each in client.admin.jobs().failed if each.id == job_id] == []
+    run_jobs(lab)
+    lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s RETURNING id", job_id)
+    assert lab.sql("SELECT 1 FROM job_error WHERE job_id = %s", job_id) == []
 
 
 def test_health_says_how_database_and_store_are(lab: Api) -> None:

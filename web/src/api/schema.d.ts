@@ -2267,11 +2267,14 @@ export interface components {
         };
         /**
          * FailedJob
-         * @description A job that was given up. `ref` is the id of what it was for. The worker's log says why, under the job's id.
+         * @description A job that was given up. `ref` is the id of what it was for; `error` says why, where that could be kept, and the
+         *     worker's log says more.
          */
         FailedJob: {
             /** Attempts */
             attempts: number;
+            /** Error */
+            error: string | null;
             /** Failed At */
             failed_at: string | null;
             /** Id */

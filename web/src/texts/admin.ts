@@ -36,7 +36,7 @@ export const texts = {
     states,
     idle: "Nothing waits, and nothing has failed.",
     failed: "Given up",
-    failedWhy: "These failed as often as they are tried. The worker’s log says why, under their number; each is forgotten after a week.",
+    failedWhy: "These failed as often as they are tried. The worker’s log says more, under their number; each is forgotten after a week.",
     none: "No job was given up.",
     retry: "Try again",
     retried: (id: number) => `Job ${id} is in the queue again.`,

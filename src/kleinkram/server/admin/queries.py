@@ -15,9 +15,10 @@ QUEUE = text(
     " WHERE j.status IN ('todo', 'doing', 'failed') GROUP BY 1, 2 ORDER BY 1, 2"
 )
 FAILED = text(
-    "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts,"
+    "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts, why.sentence AS error,"
     " (SELECT max(e.at) FROM procrastinate_events e WHERE e.job_id = j.id) AS failed_at"
-    " FROM procrastinate_jobs j WHERE j.status = 'failed' ORDER BY j.id DESC LIMIT 100"
+    " FROM procrastinate_jobs j LEFT JOIN job_error why ON why.job_id = j.id"
+    " WHERE j.status = 'failed' ORDER BY j.id DESC LIMIT 100"
 )
 RETRY = text(
     "UPDATE procrastinate_jobs SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"

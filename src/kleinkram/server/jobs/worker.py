@@ -16,6 +16,7 @@ from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import DEFAULT, GROUPING, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.understanding import Understanding
@@ -89,6 +90,7 @@ async def _work(app: App, given: dict[str, object], *, lane: str, at_once: int) 
         update_heartbeat_interval=5,
         stalled_worker_timeout=20,
         delete_jobs="successful",
+        worker_middleware=[keep_why],
     )
 
 

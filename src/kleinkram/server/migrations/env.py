@@ -1,7 +1,7 @@
 """Alembic's entry: one connection, one transaction, one migrator at a time."""
 
 from alembic import context
-from sqlalchemy import create_engine, pool, text
+from sqlalchemy import ForeignKeyConstraint, create_engine, pool, text
 
 from kleinkram.server.tables import metadata
 
@@ -9,8 +9,10 @@ from kleinkram.server.tables import metadata
 _LOCK = 0x6B6C65696E
 
 
-def _ours(_object: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
-    return not (name or "").startswith(("procrastinate", "idx_procrastinate"))
+def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
+    # A key that leads to the queue's tables is as foreign to the described ones as these are.
+    about = thing.referred_table.name if isinstance(thing, ForeignKeyConstraint) else name
+    return not (about or "").startswith(("procrastinate", "idx_procrastinate"))
 
 
 engine = create_engine(context.config.attributes["url"], poolclass=pool.NullPool)

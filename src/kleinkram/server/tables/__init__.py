@@ -5,6 +5,7 @@ from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blob import blob, topic
 from kleinkram.server.tables.file import file, recording
+from kleinkram.server.tables.job_error import job_error
 from kleinkram.server.tables.mission import mission
 from kleinkram.server.tables.mission_topic import mission_topic, mission_topics
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
@@ -30,6 +31,7 @@ __all__ = [
     "blob",
     "file",
     "identity",
+    "job_error",
     "login_request",
     "membership",
     "metadata",

@@ -1,0 +1,99 @@
+"""`klein admin …`"""
+
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.options import AsJson
+from kleinkram.cli.render import details, moment, note, show_json, table
+from kleinkram.cli.units import size
+
+app = typer.Typer(
+    help="The whole server, for its admins.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command("storage")
+def storage(as_json: AsJson = False) -> None:
+    """Say what the store keeps, by state, and how full its disk is where that is known."""
+    with connect() as client:
+        told = client.admin.storage()
+    if as_json:
+        show_json(told)
+        return
+    details(
+        [
+            ("kept", size(told.store.used_bytes)),
+            ("free", size(told.store.free_bytes)),
+            ("disk", size(told.store.disk_bytes)),
+        ]
+    )
+    amounts = [*told.blobs, told.trash, told.uploads, told.doomed]
+    table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in amounts])
+    if told.is_low:
+        note("The store is nearly full: uploads will soon be refused.")
+
+
+@app.command("jobs")
+def jobs(as_json: AsJson = False) -> None:
+    """Show the queue, and the jobs that were given up, each with why."""
+    with connect() as client:
+        told = client.admin.jobs()
+    if as_json:
+        show_json(told)
+        return
+    if not told.queue:
+        note("Nothing waits, and nothing has failed.")
+        return
+    table(["job", "state", "count", "oldest"], [(row.kind, row.state, row.count, row.oldest_at) for row in told.queue])
+    if told.failed:
+        note("")
+        table(
+            ["id", "job", "for", "tries", "given up", "why"],
+            [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in told.failed],
+        )
+        note("`klein admin retry ID` puts one back into the queue.")
+
+
+@app.command("retry")
+def retry(
+    job: Annotated[
+        int, typer.Argument(metavar="ID", min=1, show_default=False, help="As `klein admin jobs` shows it.")
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Put a job that was given up back into the queue."""
+    with connect() as client:
+        client.admin.retry_job(job)
+    if as_json:
+        show_json({"retried": job})
+    note(f"Job {job} is in the queue again.")
+
+
+@app.command("health")
+def health(as_json: AsJson = False) -> None:
+    """Say how database, store and workers are."""
+    with connect() as client:
+        told = client.admin.health()
+    if as_json:
+        show_json(told)
+        return
+    details(
+        [
+            ("ready", told.not_ready or "yes"),
+            ("version", told.version),
+            ("tables", told.schema_version),
+            ("database", f"PostgreSQL {told.database_version}, {size(told.database_bytes)}"),
+            ("workers", len(told.workers_at) or "none is heard of: nothing is read, proven or swept"),
+            ("heard of", ", ".join(moment(at) for at in told.workers_at)),
+            ("store", f"proves by {told.store_checksum}"),
+            ("overwrites", "the store refuses them" if told.store_writes_once else "the store takes them"),
+            ("pages", "may send to the store" if told.store_takes_pages else "may not send to the store"),
+            ("clocks apart", f"{told.clock_skew_s:.2f} s"),
+        ]
+    )

@@ -1,0 +1,27 @@
+"""What is kept of why a job failed: one line, without what signs an address or opens a database."""
+
+import pytest
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.jobs.failing import sentence_of
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (ValueError("7 is no size"), "ValueError: 7 is no size"),
+        (KeyError(), "KeyError"),
+        (ValueError("first\nSELECT secret"), "ValueError: first"),
+        (OSError("GET https://s3.lab/b/k?X-Amz-Signature=abc refused"), "OSError: GET https://s3.lab/b/k?… refused"),
+        (OSError("no postgresql://serve:geheim@db/kk there"), "OSError: no postgresql://serve:…@db/kk there"),
+        (ValueError("a\x00b\x1b[31m"), "ValueError: a b [31m"),
+        (ValueError("x" * 1000), "ValueError: " + "x" * 488),
+    ],
+)
+def test_a_sentence(error: Exception, sentence: str) -> None:
+    assert sentence_of(error) == sentence
+
+
+def test_an_error_with_a_sentence_of_its_own_says_that() -> None:
+    error = StoreUnavailable(reason="it is away")
+    assert sentence_of(error) == error.sentence()
