@@ -1,11 +1,14 @@
 // What changes on the server shows here by itself: events say which noun changed, and its answers are asked for anew.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, ref, type Ref, watch, type WatchSource } from "vue";
+import { isAskingToSignIn } from "./signing-in";
 
 /** Several changes within this time ask for everything once. */
 const GATHER_MS = 250;
 /** Where changes come all the time, everything is asked for no more often than this. */
 const LEAST_MS = 2000;
+/** After this time a stream that the server refused is asked for again: somebody may have signed in anew. */
+const AGAIN_MS = 5000;
 
 export interface LiveOptions {
   /** Which answers an event makes old; none for events that are nobody's concern here. */
@@ -32,7 +35,9 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   const isConnected = ref(false);
   let source: EventSource | null = null;
   let timer: ReturnType<typeof setTimeout> | undefined;
+  let again: ReturnType<typeof setTimeout> | undefined;
   let refreshedAt = -LEAST_MS;
+  let isBroken = false;
   const old = new Map<string, readonly unknown[]>();
 
   function refresh(): void {
@@ -47,7 +52,22 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     if (old.size > 0) timer ??= setTimeout(refresh, Math.max(GATHER_MS, refreshedAt + LEAST_MS - performance.now()));
   }
 
+  function connected(): void {
+    isConnected.value = true;
+    if (isBroken) void queries.invalidateQueries(); // what changed meanwhile was told to nobody
+    isBroken = false;
+  }
+
+  /** A browser connects again by itself where the line broke, and never again where it was refused. */
+  function broken(at: string): void {
+    isConnected.value = false;
+    isBroken = true;
+    clearTimeout(again);
+    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => (isAskingToSignIn.value ? broken(at) : open(at)), AGAIN_MS);
+  }
+
   function close(): void {
+    clearTimeout(again);
     source?.close();
     source = null;
     isConnected.value = false;
@@ -57,8 +77,8 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     close();
     if (at === null) return;
     source = new EventSource(at);
-    source.addEventListener("open", () => (isConnected.value = true));
-    source.addEventListener("error", () => (isConnected.value = false)); // the browser connects again by itself
+    source.addEventListener("open", connected);
+    source.addEventListener("error", () => broken(at));
     for (const kind of options.kinds) source.addEventListener(kind, note);
   }
 

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { Problem, problemOf, toProblem } from "./problem";
+import { Problem, problemInstead, problemOf, toProblem } from "./problem";
 import { texts } from "@/texts/problem";
 
 function answer(status: number): Response {
@@ -35,5 +35,18 @@ describe("what is no answer of ours", () => {
     expect(toProblem(new RangeError("bad"))).toMatchObject({ code: "unexpected", message: "bad" });
     const known = new Problem("forbidden", 403, "No", "You may not.");
     expect(toProblem(known)).toBe(known);
+  });
+});
+
+describe("what stands in a page's place", () => {
+  const away = new Problem("unreachable", 0, "", "nobody answers");
+  it("is nothing while there is something to show and the server may come back", () => {
+    expect(problemInstead(null, undefined)).toBeNull();
+    expect(problemInstead(away, { name: "day" })).toBeNull();
+    expect(problemInstead(away, undefined)).toBe(away);
+  });
+  it("is what the server has decided, whatever was shown before", () => {
+    const gone = new Problem("not_found", 404, "", "there is none");
+    expect(problemInstead(gone, { name: "day" })).toBe(gone);
   });
 });

@@ -57,6 +57,13 @@ export function problemOf(told: unknown, answer: Response): Problem {
   return new Problem("unexpected", answer.status, texts.unexpected, texts.notUnderstood(answer.status), requestId);
 }
 
+/** Returns what stands in a page's place: nothing while there is something to show and what failed may well succeed soon. */
+export function problemInstead(thrown: unknown, shown: unknown): Problem | null {
+  if (thrown === null || thrown === undefined) return null;
+  const problem = toProblem(thrown);
+  return shown !== undefined && problem.isPassing ? null : problem;
+}
+
 /** Returns whatever was thrown as a problem. What is no failure of a request is a fault of the app's, and says so. */
 export function toProblem(thrown: unknown): Problem {
   if (thrown instanceof Problem) return thrown;

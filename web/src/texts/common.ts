@@ -3,6 +3,7 @@ export const texts = {
   product: "Kleinkram",
   busy: "Working",
   loading: "Loading",
+  notShown: "This cannot be shown",
   close: "Close",
   cancel: "Cancel",
   save: "Save",
