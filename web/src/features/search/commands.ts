@@ -13,9 +13,9 @@ export function searchCommands(query: string): Commands {
   return { cli: `klein search ${query.startsWith("-") ? "-- " : ""}${quoted(query)}`, sdk };
 }
 
-/** Returns the command that fetches what a text finds. */
+/** Returns the command that fetches what a text finds, below project and mission: files of several may have one path. */
 export function downloadCommand(query: string): string {
-  return `klein download --query ${quoted(query)} --dest data`;
+  return `klein download --nested --query ${quoted(query)} --dest data`;
 }
 
 /** Returns a script that fetches what a text finds. Nothing that was typed stands in it unquoted. */
@@ -25,7 +25,7 @@ export function downloadScript(query: string, server: string, head: string): str
     `# ${head}`,
     "set -eu",
     `export KLEINKRAM_URL="\${KLEINKRAM_URL:-${server}}"`,
-    `exec klein download --query ${quoted(query)} --dest "\${1:-data}"`,
+    `exec klein download --nested --query ${quoted(query)} --dest "\${1:-data}"`,
     "",
   ].join("\n");
 }
