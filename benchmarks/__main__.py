@@ -21,6 +21,7 @@ from benchmarks.measure import Pairing, Run, pair, run_side
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.signing_in import sign_in_row
+from benchmarks.web import web_rows
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,7 +29,7 @@ STAGE = ROOT / ".bench"
 DATA = STAGE / "data"
 KLEIN = Path(sys.executable).parent / "klein"
 GB = 1_000_000_000
-ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts", "people", "rights"}
+ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts", "people", "rights", "web"}
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
@@ -55,10 +56,12 @@ def main() -> None:
         rows += recording_rows(STAGE / "recordings")
     if "starts" in wanted:
         rows += start_rows()
-    if "rights" in wanted:  # the last: it leaves much behind
+    if "rights" in wanted:  # it leaves much behind
         with instance() as environment:
             owner_token = (DATA / "owner-token").read_text().strip()
             rows.append(rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"]))
+    if "web" in wanted:
+        rows += rows_of_the_web()
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     print_table(rows)
 
@@ -74,6 +77,15 @@ def rows_of_an_instance(wanted: set[str]) -> list[dict[str, object]]:
         if "summaries" in wanted:
             rows += summary_rows(environment)
     return rows
+
+
+def rows_of_the_web() -> list[dict[str, object]]:
+    """Measure the web interface, on an instance of its own."""
+    shutil.rmtree(DATA, ignore_errors=True)
+    folder = STAGE / "web"
+    with instance() as environment:
+        owner_token = (DATA / "owner-token").read_text().strip()
+        return web_rows(klein, told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], folder)
 
 
 def variables() -> dict[str, str]:

@@ -1,0 +1,188 @@
+"""The rows about the web interface: Chromium in front of a filled instance, driven by `web.mjs`."""
+
+import json
+import os
+import shutil
+import statistics
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks import web_places
+from kleinkram.client import Client, connect
+from kleinkram.recordings.sample import generate_bag, generate_mcap
+from kleinkram.server.web.serving import BUILT
+
+_WEB = Path(__file__).parent.parent / "web"
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_ALL = ("load", "changes", "mission", "picture", "scroll")
+_TIMES = 5
+_TURNS = 120
+_GB = 1_000_000_000
+_LARGE = "large recordings"
+_MOST_BYTES, _MOST_INTERACTIVE_MS = 350_000, 1_500
+_MOST_CHANGE_MS, _MOST_MISSION_MS, _MOST_TASK_MS = 200, 500, 50
+_MOST_PICTURE_MS, _MOST_PICTURE_SHARE = 1_500, 0.05
+
+Row = dict[str, object]
+# Runs a `klein` command, and returns what it prints.
+Klein = Callable[..., str]
+
+
+def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path) -> list[Row]:
+    """Fill the instance, and measure what somebody waits for; says so where there is nothing to measure with.
+
+    `KLEINKRAM_BENCH_WEB=load,scroll` measures some of it.
+    """
+    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+    if lacking := _lacking(found):
+        return [{"what": "the web interface", "measured": f"not measured: {lacking}", "bar": "", "met": False}]
+    asked = os.environ.get("KLEINKRAM_BENCH_WEB", ",".join(_ALL)).split(",")
+    with connect(url, token=token) as client:
+        places, derived_s = _filled(client, klein, database_url, folder)
+    told = json.dumps({**places, "asked": asked, "times": _TIMES, "turns": _TURNS})
+    link = klein("session", "link").strip()
+    command = ["node", str(Path(__file__).with_name("web.mjs")), str(_WEB), str(found), link, url, told]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise SystemExit(f"the browser's side failed: {done.stderr}")
+    seen = json.loads(done.stdout)
+    rows: list[Row] = []
+    for name, rows_of in _ROWS.items():
+        if name in asked:
+            rows += rows_of(seen)
+    if "mission" in asked:
+        rows.append(_derived_row(derived_s))
+    return rows
+
+
+def _lacking(browser: str | None) -> str | None:
+    if browser is None:
+        return "there is no Chromium"
+    if shutil.which("node") is None:
+        return "there is no Node"
+    if not (_WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
+        return "the web interface is not built (`make setup`)"
+    return None
+
+
+def _filled(client: Client, klein: Klein, database_url: str, folder: Path) -> tuple[dict[str, object], float]:
+    project, many, files = web_places.fill(client, database_url)
+    large = folder / "large"
+    large.mkdir(parents=True)
+    generate_mcap(large / "large.mcap", size_bytes=_GB, seed=1)
+    generate_bag(large / "large.bag", size_bytes=_GB, seed=2)
+    (folder / "notes.txt").write_text("what makes the service look at a mission again")
+    into = ("upload", "-p", web_places.PROJECT, "-m")
+    klein(*into, web_places.MANY_TOPICS, str(folder / "notes.txt"))
+    derived_s = web_places.seconds_to_derive(client, many)
+    klein(*into, web_places.MANY_FILES, str(folder / "notes.txt"))
+    web_places.seconds_to_derive(client, files)
+    klein(*into, _LARGE, "--create", f"{large}/", "--wait")
+    held = client.missions.get(_LARGE, project=project).id
+    pictures = {each.path: f"/files/{each.id}" for each in client.missions.timeline(held)}
+    places: dict[str, object] = {
+        "project": web_places.PROJECT,
+        "projectPath": f"/projects/{project}",
+        "many": web_places.MANY_TOPICS,
+        "manyPath": f"/missions/{many}",
+        "filesPath": f"/missions/{files}",
+        "large": _LARGE,
+        "file": "large.mcap",
+        "pictures": pictures,
+        "topics": web_places.TOPICS,
+        "files": web_places.FILES,
+        "found": web_places.FOUND,
+    }
+    return places, derived_s
+
+
+def _load_rows(seen: Mapping[str, Any]) -> list[Row]:
+    loads = seen["load"]
+    size = statistics.median(each["bytes"] for each in loads)
+    bytes_row = {
+        "what": "first load of the home page, gzipped",
+        "measured": f"{size / 1000:.0f} kB",
+        "bar": f"<= {_MOST_BYTES / 1000:.0f} kB",
+        "met": size <= _MOST_BYTES,
+        "bytes": [each["bytes"] for each in loads],
+    }
+    times = [each["milliseconds"] for each in loads]
+    return [bytes_row, _time_row("the home page is there, and nothing keeps it busy", times, _MOST_INTERACTIVE_MS)]
+
+
+def _change_rows(seen: Mapping[str, Any]) -> list[Row]:
+    medians = {name: statistics.median(times) for name, times in seen["changes"].items()}
+    slowest = max(medians, key=lambda name: medians[name])
+    row = _time_row(f"from page to page with warm data, slowest: {slowest}", seen["changes"][slowest], _MOST_CHANGE_MS)
+    in_order = sorted(medians.items(), key=lambda item: -item[1])
+    return [row | {"also": ", ".join(f"{name} {time:.0f} ms" for name, time in in_order), "medians_ms": medians}]
+
+
+def _mission_rows(seen: Mapping[str, Any]) -> list[Row]:
+    cold = {
+        name: statistics.median(each["milliseconds"] for each in seen[name]) for name in ("missionCold", "topicsCold")
+    }
+    topics = statistics.median(each["topics"] for each in seen["mission"])
+    what = f"the page of a mission of {web_places.RECORDINGS} files and {web_places.TOPICS} topics, from the click"
+    row = _time_row(what, [each["files"] for each in seen["mission"]], _MOST_MISSION_MS)
+    also = (
+        f"then its topics {topics:.0f} ms; in a browser that knows nothing, the app included: "
+        f"files {cold['missionCold']:.0f} ms, topics {cold['topicsCold']:.0f} ms"
+    )
+    return [row | {"also": also, "raw": {name: seen[name] for name in ("mission", "missionCold", "topicsCold")}}]
+
+
+def _derived_row(derived_s: float) -> Row:
+    return {
+        "what": f"topics of {web_places.RECORDINGS} files with {web_places.TOPICS} topics each, added up by a worker",
+        "measured": f"{derived_s:.1f} s",
+        "bar": "none",
+        "met": True,
+        "seconds": derived_s,
+    }
+
+
+def _picture_rows(seen: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for name, pictures in seen["pictures"].items():
+        share = max(each["bytes"] for each in pictures) / _GB
+        row = _time_row(f"first picture of a 1 GB {Path(name).suffix[1:]}", _all_ms(pictures), _MOST_PICTURE_MS)
+        row["measured"] = f"{row['measured']}, {share:.1%} of it read"
+        row["bar"] = f"{row['bar']}, <= {_MOST_PICTURE_SHARE:.0%} of it"
+        row["met"] = bool(row["met"]) and share <= _MOST_PICTURE_SHARE
+        rows.append(row | {"share": share})
+    return rows
+
+
+def _scroll_rows(seen: Mapping[str, Any]) -> list[Row]:
+    return [
+        _time_row(f"longest task of the main thread while scrolling {name}", _all_ms(scrolls), _MOST_TASK_MS)
+        | {"also": f"{sum(each['long'] for each in scrolls)} tasks over 50 ms in {len(scrolls)} rounds", "raw": scrolls}
+        for name, scrolls in seen["scrolls"].items()
+    ]
+
+
+def _all_ms(each: Sequence[Mapping[str, float]]) -> list[float]:
+    return [one["milliseconds"] for one in each]
+
+
+def _time_row(what: str, times_ms: Sequence[float], most_ms: float) -> Row:
+    median = statistics.median(times_ms)
+    return {
+        "what": what,
+        "measured": f"median {median:.0f} ms, slowest {max(times_ms):.0f} ms",
+        "bar": f"<= {most_ms} ms",
+        "met": median <= most_ms,
+        "milliseconds": list(times_ms),
+    }
+
+
+_ROWS = {
+    "load": _load_rows,
+    "changes": _change_rows,
+    "mission": _mission_rows,
+    "picture": _picture_rows,
+    "scroll": _scroll_rows,
+}
