@@ -41,7 +41,7 @@ story: setup
 	@$(BIN)/python examples/demo.py --story
 
 test: setup
-	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile
 
 test-all: setup
 	@$(BIN)/python -m pytest -m slow -q -n 2 --dist loadfile
