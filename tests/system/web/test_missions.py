@@ -7,6 +7,7 @@ import pytest
 
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
+from tests.system.behind import sql
 from tests.system.house import House
 from tests.system.web.conftest import Act
 
@@ -21,10 +22,20 @@ fields:
   - {name: operator, type: string, pattern: "[a-z]+", required: true}
 """
 _GUEST = "Grace Guest"
+# Uploading very many is told elsewhere: here they are names of the bytes of the first.
+_MANY = f"""
+INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)
+  SELECT gen_random_uuid(), mission_id, blob_id, name, name, 'link', uploaded_by_id FROM file,
+    LATERAL (
+      SELECT 'scan_' || lpad((n %% {_FOLDERS})::text, 2, '0') || '/frame_' || lpad(n::text, 4, '0') || '.txt' AS name
+      FROM generate_series(1, {_FILES - 1}) n
+    ) AS named
+  WHERE mission_id = %s RETURNING id
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(540)
+@pytest.mark.timeout(280)
 def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
     house.start()
     terminal = house.terminal
@@ -37,18 +48,15 @@ def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> Non
     generate_bag(day / "cut.bag", duration_s=10, faults=Faults(truncate_to=0.6))
     (day / "<a href=x>.txt").write_text("named by somebody who tries")
     many = tmp_path / "many"
-    for number in range(_FILES):
-        folder = many / f"scan_{number % _FOLDERS:02}"
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"frame_{number:04}.txt").write_text("the same bytes, kept once")
+    (many / "scan_00").mkdir(parents=True)
+    (many / "scan_00" / "frame_0000.txt").write_text("the bytes that ten thousand names stand for")
     terminal.run("project", "create", _MARKUP, "--fields", tmp_path / "fields.yaml")
     place = ("-p", _MARKUP, "--create", "--metadata", said)
     terminal.run("upload", *place, "-m", _MISSION, f"{day}/", "--wait")
-    bulk = terminal.start("upload", *place, "-m", "many", f"{many}/")
-    out, err = bulk.communicate(timeout=240)
-    assert bulk.returncode == 0, out[-500:] + err
+    terminal.run("upload", *place, "-m", "many", f"{many}/")
     projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
     missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    sql(house, _MANY, missions["many"])
     invited = terminal.run("person", "invite", "grace@example.org", "--name", _GUEST, "--json").json()
     wait_until(lambda: _topics_are_there(house, missions[_MISSION]), "the topics to be added up")
     seen = act(
@@ -60,12 +68,11 @@ def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> Non
         missions[_MISSION],
         missions["many"],
         pictures,
-        timeout_s=300,
     )
 
     assert seen["complaints"] == []
-    assert seen["dialogs"] == 0, "markup was run"
-    assert seen["elements"] == 0, "markup was made of what people said"
+    assert seen["ran"] == [], "markup was run"
+    assert set(seen["elements"]) == {0}, "markup was made of what people said"
     assert seen["axe"] == []
     assert seen["wide"] == []
     assert seen["title"] == _MISSION
