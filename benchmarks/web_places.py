@@ -28,13 +28,13 @@ INSERT INTO blob (id, key, size_bytes, sha256, md5, state, proven_at, uploaded_b
   FROM generate_series(0, %(files)s::int - 1) n, LATERAL (SELECT n %% %(every)s = 0 AS is_read) read
 """
 _FILES = """
-INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id, labels)
+INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id, created_at, labels)
   SELECT md5('file' || blob.id)::uuid, %(mission)s, blob.id, path, path, 'upload', %(owner)s,
-    CASE n %% 50 WHEN 0 THEN '{calibrated}'::text[] ELSE '{}' END
+    now() - (%(files)s - n) * interval '5 seconds', CASE n %% 50 WHEN 0 THEN '{calibrated}'::text[] ELSE '{}' END
   FROM generate_series(%(first)s::int, %(last)s::int) n
   JOIN blob ON blob.key = %(name)s || n,
-  LATERAL (SELECT coalesce('run_' || lpad((n %% nullif(%(folders)s, 0))::text, 2, '0') || '/', '') || 'drive_' || lpad(n::text, 6, '0') ||
-    CASE WHEN blob.format IS NULL THEN '.txt' ELSE '.mcap' END AS path) named
+  LATERAL (SELECT coalesce('run_' || lpad((n %% nullif(%(folders)s, 0))::text, 2, '0') || '/', '') ||
+    'drive_' || lpad(n::text, 6, '0') || CASE WHEN blob.format IS NULL THEN '.txt' ELSE '.mcap' END AS path) named
 """
 _TOPICS = """
 INSERT INTO topic (blob_id, name, message_type, schema_name, schema_encoding, message_encoding, count, first_ns,
@@ -66,7 +66,8 @@ def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.
             ("found", older, FOUND, 1, 10, _APART_NS),
         ):
             of_these = {**common, "name": name, "every": every, "folders": folders, "apart_ns": apart_ns}
-            database.execute(_BLOBS, {**of_these, "files": count})
+            of_these["files"] = count
+            database.execute(_BLOBS, of_these)
             share = count // len(missions)
             for number, mission in enumerate(missions):
                 bounds = {"mission": mission, "first": number * share, "last": (number + 1) * share - 1}
