@@ -82,6 +82,8 @@ def duration(nanoseconds: int | None) -> str | None:
         return None
     seconds = nanoseconds / _NS
     if seconds < 60:
+        if nanoseconds == 0:
+            return "0 s"
         return f"{seconds:.3f} s" if seconds < 10 else f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)

@@ -20,8 +20,9 @@ export function formatSpeed(bytesPerSecond: number): string {
   return `${formatSize(bytesPerSecond)}/s`;
 }
 
-/** A span of nanoseconds: `1.250 s`, `3 min 05 s`, `2 h 14 min`. */
+/** A span of nanoseconds: `0 s`, `1.250 s`, `3 min 05 s`, `2 h 14 min`. */
 export function formatDuration(nanoseconds: number): string {
+  if (nanoseconds === 0) return "0 s";
   const seconds = nanoseconds / NS_PER_S;
   if (Math.abs(seconds) < 60) return `${seconds.toFixed(Math.abs(seconds) < 10 ? 3 : 1)} s`;
   const whole = Math.round(seconds);

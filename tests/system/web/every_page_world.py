@@ -1,0 +1,132 @@
+"""A world in which everything that people name is an attack: markup, script addresses, templates of other frameworks."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
+from tests.acceptance.conftest import Terminal, wait_until
+
+# What would be asked for if any of it were an element.
+ELSEWHERE = "http://evil.invalid"
+# Names hold nothing that paths and wildcards need: no quotes, no slashes.
+PROJECT = "<img src=x onerror=wasRun=1> {{7+7}}"
+MISSION = "<svg onload=wasRun=1> javascript:wasRun=1"
+GROUP = "<b onmouseover=wasRun=1 autofocus onfocus=wasRun=1>"
+PERSON = f'"><img src="{ELSEWHERE}/person.png" onerror="wasRun=1">'
+TOKEN = f"<iframe src={ELSEWHERE}/token>"
+LABEL = "<img src=x onerror=wasRun=1>"
+SHARE = '<script>wasRun=1</script>"><script src=//evil.invalid>'
+NOTES = f"[a link](javascript:wasRun=1) ![x]({ELSEWHERE}/notes.png) <img src=x onerror=wasRun=1> {{{{7*7}}}} ${{7*7}}"
+VALUE = f'"><svg onload=wasRun=1><img src="{ELSEWHERE}/value.png">{{{{constructor.constructor(\'wasRun=1\')()}}}}'
+ADDRESS = "javascript:wasRun=1"
+DESCRIPTION = f'<style>@import "{ELSEWHERE}/style.css";body{{display:none}}</style><base href="{ELSEWHERE}">'
+TOPIC = "/<img src=x onerror=wasRun=1>/{{7*7}}"
+TYPE = "evil_msgs/<svg onload=wasRun=1>"
+RECORDING = '"><svg onload=wasRun=1>.mcap'
+TEXT = "<iframe srcdoc='<script>parent.wasRun=1<'>.txt"
+BROKEN = "cut <img src=x onerror=wasRun=1>.bag"
+
+_FIELDS = [
+    {
+        "name": "robot",
+        "type": "choice",
+        "choices": ["anymal", VALUE[:60]],
+        "required": True,
+        "description": DESCRIPTION,
+    },
+    {"name": "operator", "type": "string", "pattern": "[a-z<>=\\s]+", "required": True, "description": VALUE},
+    {"name": "wind", "type": "number", "unit": "<b>m"},
+]
+
+
+@dataclass(frozen=True)
+class World:
+    """Where things are, for whoever drives a browser."""
+
+    invitation: str
+    unused_invitation: str
+    share: str
+    ids: dict[str, str]
+
+
+def make_world(terminal: Terminal, folder: Path) -> World:
+    """Fill a server; returns once all of it was read."""
+    _projects(terminal, folder)
+    day = _day(folder / "day")
+    place = ("-p", PROJECT, "-m", MISSION)
+    said = folder / "said.yaml"
+    said.write_text(
+        yaml.safe_dump({"robot": VALUE[:60], "operator": "<b onclick=wasrun>", "page": ADDRESS, "extra": VALUE})
+    )
+    terminal.run("mission", "create", *place, "--metadata", said, "--notes", NOTES)
+    terminal.run("upload", *place, f"{day}/")
+    terminal.run("mission", "create", "-p", PROJECT, "-m", f"gone {LABEL}", "--metadata", said)
+    terminal.run("mission", "delete", f"gone {LABEL}", "-p", PROJECT, "--yes")
+    # Once it was said it is declared a link: what is there already was never judged as one.
+    fields = folder / "later.yaml"
+    fields.write_text(yaml.safe_dump({"undeclared": "accept", "fields": [*_FIELDS, {"name": "page", "type": "link"}]}))
+    terminal.run("project", "update", PROJECT, "--fields", fields)
+    terminal.run("file", "update", RECORDING, *place, "--label", LABEL)
+    invited = terminal.run("person", "invite", "eve@lab.example", "--name", PERSON, "--json").json()
+    other = terminal.run("person", "invite", "mallory@lab.example", "--name", PERSON, "--json").json()
+    terminal.run("group", "create", GROUP)
+    terminal.run("token", "create", TOKEN, "--days", 9)
+    share = terminal.run("share", "create", *place, "--name", SHARE, "--json").json()
+
+    def files() -> list[dict[str, Any]]:
+        return list(terminal.run("file", "list", "--json").json()["items"])
+
+    wait_until(lambda: all(file["content"] != "pending" for file in files()), "all files to be read")
+    known = {file["path"]: file["id"] for file in files()}
+    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
+    groups = {each["name"]: each["id"] for each in terminal.run("group", "list", "--json").json()["items"]}
+    ids = {
+        "project": projects[PROJECT],
+        "empty": projects["Nothing yet"],
+        "public": projects["Lakes"],
+        "mission": missions[MISSION],
+        "publicMission": missions["shore"],
+        "recording": known[RECORDING],
+        "drive": known["drive.mcap"],
+        "broken": known[BROKEN],
+        "text": known[TEXT],
+        "publicFile": known["shore.mcap"],
+        "group": groups[GROUP],
+    }
+    return World(invited["url"], other["url"], share["url"], ids)
+
+
+def _projects(terminal: Terminal, folder: Path) -> None:
+    fields = folder / "fields.yaml"
+    fields.write_text(yaml.safe_dump({"undeclared": "accept", "fields": _FIELDS}))
+    terminal.run("project", "create", PROJECT, "--description", DESCRIPTION, "--fields", fields)
+    terminal.run("project", "create", "Nothing yet")
+    terminal.run("project", "create", "Lakes", "--description", "What everybody may see.")
+    shore = folder / "shore.mcap"
+    generate_mcap(shore, size_bytes=400_000, duration_s=20, seed=4)
+    terminal.run("upload", "-p", "Lakes", "-m", "shore", "--create", shore)
+    terminal.run("project", "update", "Lakes", "--public")
+
+
+def _day(day: Path) -> Path:
+    day.mkdir()
+    generate_mcap(
+        day / "drive.mcap", duration_s=12, size_bytes=3_000_000, faults=Faults(gap=TopicGap("/imu/data", 3, 4))
+    )
+    generate_bag(day / BROKEN, duration_s=10, size_bytes=2_000_000, faults=Faults(truncate_to=0.6))
+    (day / TEXT).write_text(VALUE)
+    with (day / RECORDING).open("xb") as file:
+        writer = McapWriter(file, profile=LABEL)
+        schema = writer.add_schema(TYPE, "ros2msg", b"string data\n")
+        channel = writer.add_channel(TOPIC, schema, "cdr")
+        for number in range(50):
+            writer.add_message(
+                channel, 1_714_550_400_000_000_000 + number * 10**8, b"\0\1\0\0\2\0\0\0x\0", publish_time_ns=1
+            )
+        writer.finish()
+    return day

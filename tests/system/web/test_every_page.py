@@ -1,0 +1,76 @@
+"""Every page, light and dark, wide and narrow, where everything that people name is an attack."""
+
+import json
+import re
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.system.house import House
+from tests.system.web import every_page_world as hostile
+from tests.system.web.conftest import WEB, Act
+
+_TEXTS = {
+    "project": hostile.PROJECT,
+    "mission": hostile.MISSION,
+    "group": hostile.GROUP,
+    "person": hostile.PERSON,
+    "token": hostile.TOKEN,
+    "label": hostile.LABEL,
+    "share": hostile.SHARE,
+    "notes": hostile.NOTES,
+    "value": hostile.VALUE,
+    "address": hostile.ADDRESS,
+    "description": hostile.DESCRIPTION,
+    "topic": hostile.TOPIC,
+    "type": hostile.TYPE,
+    "recording": hostile.RECORDING,
+    "text": hostile.TEXT,
+    "broken": hostile.BROKEN,
+    "gone": f"gone {hostile.LABEL}",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(540)
+def test_every_page(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    world = hostile.make_world(house.terminal, tmp_path)
+    store = urlsplit(house.told()["store_url"])
+    told = {
+        "invitation": world.invitation,
+        "unused": world.unused_invitation,
+        "share": world.share,
+        "ids": world.ids,
+        "texts": _TEXTS,
+        "store": f"{store.scheme}://{store.netloc}",
+    }
+    seen = act("every_page.mjs", house, pictures, json.dumps(told), timeout_s=500)
+
+    assert seen["ran"] == [], "nothing that people named was run"
+    assert seen["elsewhere"] == [], "nothing was asked of another host"
+    assert seen["unseen"] == [], "it is shown as it was said"
+    assert seen["links"] == [], "no link leads to a script"
+    assert seen["complaints"] == []
+    assert seen["violations"] == []
+    assert seen["wide"] == [], "nothing is wider than the page"
+    assert seen["axe"] == []
+    assert set(seen["inline"].values()) == {False}
+    for name, policy in seen["policies"].items():
+        assert _scripts_of(policy) <= {"'self'", "'wasm-unsafe-eval'"}, name
+    assert _routes() - {"not-found"} <= {*seen["looked"]}, "a page is not looked at"
+
+
+def _scripts_of(policy: str) -> set[str]:
+    allowed = {words[0]: set(words[1:]) for each in policy.split(";") if (words := each.split())}
+    assert allowed["default-src"] == {"'none'"}
+    return allowed["script-src"]
+
+
+def _routes() -> set[str]:
+    """The names of all pages of the app."""
+    named = {"file": "file-drive"}, {"admin": "admin-storage"}
+    routes = re.findall(r'name: "([a-z-]+)"', (WEB / "src" / "router" / "routes.ts").read_text())
+    assert len(routes) > 10
+    return {named[0].get(each) or named[1].get(each) or each for each in routes}
