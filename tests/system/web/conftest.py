@@ -3,7 +3,7 @@
 import json
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,13 @@ def act() -> Act:
     if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
         missing("the web interface is not built: `make setup` builds it")
 
-    def run(script: str, house: House, *arguments: object, timeout_s: float = 200) -> dict[str, Any]:
+    def run(
+        script: str, house: House, *arguments: object, timeout_s: float = 200, inside: Sequence[str] = ()
+    ) -> dict[str, Any]:
         link = house.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script
-        places = [str(WEB), str(found), link, f"http://127.0.0.1:{house.port}"]
-        command = ["node", str(program), *places, *map(str, arguments)]
+        places = [str(WEB), str(found), link, house.told()["url"]]
+        command = [*inside, "node", str(program), *places, *map(str, arguments)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
         assert done.returncode == 0, done.stderr
         seen: dict[str, Any] = json.loads(done.stdout)

@@ -220,6 +220,7 @@ await look(page, "person", { path: `/people/${person}`, shows: [texts.person, te
 await look(page, "access", { path: `/people/access?project=${ids.project}`, shows: [texts.person, texts.group, project] });
 await look(page, "groups", { path: "/groups", shows: [texts.group] });
 await look(page, "group", { path: `/groups/${ids.group}`, shows: [texts.group, texts.person] });
+await look(page, "account", { path: "/account" });
 await look(page, "tokens", { path: "/tokens", shows: [texts.token] });
 await look(page, "sessions", { path: "/sessions" });
 await look(page, "audit", { path: "/audit", shows: [texts.group, project] });
@@ -247,7 +248,7 @@ await page.keyboard.press("Shift+?");
 await look(page, "dialog-keys", { ...opened, ready: "dialog[open]" });
 
 // The server's own pages for somebody who is signed in.
-await look(page, "account", { path: "/sign-in/account" });
+await look(page, "account", { path: "/account" });
 await look(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, shows: [texts.value] });
 const asks = new URLSearchParams({ port: "4444", state: texts.value, code_challenge: "x", client: texts.value });
 await look(page, "cli", { path: `/sign-in/cli?${asks}`, ready: "#decision:not([hidden])", shows: [texts.value] });

@@ -1,10 +1,9 @@
-"""A world in which everything that people name is an attack: markup, script addresses, templates of other frameworks."""
+"""A world where everything that people name is an attack: markup, script addresses, templates of other frameworks."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from kleinkram.recordings.mcap.writer import McapWriter
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
@@ -60,7 +59,7 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     place = ("-p", PROJECT, "-m", MISSION)
     said = folder / "said.yaml"
     said.write_text(
-        yaml.safe_dump({"robot": VALUE[:60], "operator": "<b onclick=wasrun>", "page": ADDRESS, "extra": VALUE})
+        json.dumps({"robot": VALUE[:60], "operator": "<b onclick=wasrun>", "page": ADDRESS, "extra": VALUE})
     )
     terminal.run("mission", "create", *place, "--metadata", said, "--notes", NOTES)
     terminal.run("upload", *place, f"{day}/")
@@ -68,7 +67,7 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     terminal.run("mission", "delete", f"gone {LABEL}", "-p", PROJECT, "--yes")
     # Once it was said it is declared a link: what is there already was never judged as one.
     fields = folder / "later.yaml"
-    fields.write_text(yaml.safe_dump({"undeclared": "accept", "fields": [*_FIELDS, {"name": "page", "type": "link"}]}))
+    fields.write_text(json.dumps({"undeclared": "accept", "fields": [*_FIELDS, {"name": "page", "type": "link"}]}))
     terminal.run("project", "update", PROJECT, "--fields", fields)
     terminal.run("file", "update", RECORDING, *place, "--label", LABEL)
     invited = terminal.run("person", "invite", "eve@lab.example", "--name", PERSON, "--json").json()
@@ -103,7 +102,7 @@ def make_world(terminal: Terminal, folder: Path) -> World:
 
 def _projects(terminal: Terminal, folder: Path) -> None:
     fields = folder / "fields.yaml"
-    fields.write_text(yaml.safe_dump({"undeclared": "accept", "fields": _FIELDS}))
+    fields.write_text(json.dumps({"undeclared": "accept", "fields": _FIELDS}))
     terminal.run("project", "create", PROJECT, "--description", DESCRIPTION, "--fields", fields)
     terminal.run("project", "create", "Nothing yet")
     terminal.run("project", "create", "Lakes", "--description", "What everybody may see.")

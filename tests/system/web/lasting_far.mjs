@@ -1,0 +1,44 @@
+// Somebody at another machine uploads a file from their browser, looks at it and downloads it. Prints as JSON what was
+// seen. Arguments: the folder with playwright-core, the browser, a link that signs in, the server's address, the file,
+// where pictures go.
+import { createHash } from "node:crypto";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+
+const [web, executablePath, link, address, file, pictures] = process.argv.slice(2);
+const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
+const PATIENCE_MS = 60_000;
+
+const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const page = await (await browser.newContext({ viewport: { width: 1280, height: 900 }, acceptDownloads: true })).newPage();
+page.setDefaultTimeout(PATIENCE_MS);
+const seen = { complaints: [], hosts: [], preflights: 0 };
+page.on("pageerror", (error) => seen.complaints.push(error.message));
+page.on("console", (message) => message.type() === "error" && seen.complaints.push(message.text()));
+const hosts = new Set();
+page.on("request", (request) => {
+  const { origin, protocol } = new URL(request.url());
+  if (protocol.startsWith("http")) hosts.add(`${request.method()} ${origin}`);
+});
+await page.goto(link);
+await page.waitForURL((url) => url.pathname === "/");
+await page.goto(`${address}/upload`);
+const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
+await chooser.setFiles(file);
+await page.getByLabel("Project").selectOption({ label: "Alps" });
+await page.getByLabel("Mission").selectOption({ label: "A new mission" });
+await page.getByLabel("Name of the new mission").fill("far");
+await page.getByRole("button", { name: /^Upload 1 file/ }).click();
+await page.locator("[data-phase=over]").waitFor().catch(async (error) => {
+  throw new Error(await page.locator("main").innerText(), { cause: error });
+});
+seen.over = await page.locator("[data-phase]").first().innerText();
+await page.locator("[data-phase]").getByRole("link", { name: "far" }).click();
+await page.getByRole("link", { name: "drive.mcap" }).first().click();
+await page.locator("[data-log-time]").waitFor();
+await page.screenshot({ path: `${pictures}/lasting-far.png` });
+const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download" }).or(page.getByRole("link", { name: "Download" })).first().click()]);
+seen.sha256 = createHash("sha256").update(await readFile(await download.path())).digest("hex");
+seen.hosts = [...hosts];
+await browser.close();
+process.stdout.write(JSON.stringify(seen));

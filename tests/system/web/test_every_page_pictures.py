@@ -1,0 +1,63 @@
+"""The pictures that README and tour show, of a friendly world; `make pictures` keeps them in docs/pictures."""
+
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mission
+from tests.acceptance.conftest import Terminal, wait_until
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_FIELDS = """
+undeclared: accept
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Which robot was out}
+  - {name: operator, type: string, required: true, description: Who held the remote}
+  - {name: temperature, type: number, unit: degC}
+"""
+_MISSIONS = {
+    "ridge-traverse": ("anymal", "ada", 4, "Fog until ten. The IMU fell silent once, on the way down."),
+    "forest-loop": ("spot", "grace", 11, "Wet leaves; two slips near the bridge."),
+    "night-run": ("anymal", "ada", -2, ""),
+}
+_QUERY = "alpine topic:/imu/* format:mcap"
+_MOST_BYTES = 200_000
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    terminal.run("project", "create", "alpine", "-d", "Walks above the snow line", "--fields", tmp_path / "fields.yaml")
+    for seed, mission in enumerate(_MISSIONS):
+        _make(terminal, tmp_path / mission, seed + 1)
+    mission = terminal.run("mission", "info", "ridge-traverse", "-p", "alpine", "--json").json()["id"]
+    place = ("-p", "alpine", "-m", "ridge-traverse")
+
+    def files() -> dict[str, str]:
+        items = terminal.run("file", "list", *place, "--json").json()["items"]
+        return (
+            {} if any(each["content"] == "pending" for each in items) else {each["path"]: each["id"] for each in items}
+        )
+
+    wait_until(lambda: files() != {}, "the recordings to be read")
+    terminal.run("file", "update", "drive.mcap", *place, "--label", "icra-27")
+    act("every_page_pictures.mjs", house, pictures, mission, files()["drive.mcap"], _QUERY)
+    for name in ("mission", "search", "look"):
+        picture = pictures / f"readme-{name}.png"
+        assert 10_000 < picture.stat().st_size < _MOST_BYTES, name
+
+
+def _make(terminal: Terminal, folder: Path, seed: int) -> None:
+    robot, operator, temperature, notes = _MISSIONS[folder.name]
+    faults = Faults(gap=TopicGap("/imu/data", 5, 3))
+    generate_mission(folder, size_bytes=18_000_000, duration_s=20, seed=seed, faults=faults)
+    generate_bag(folder / "payload.bag", size_bytes=3_000_000, duration_s=14, seed=seed + 10)
+    said = folder.with_suffix(".yaml")
+    said.write_text(f"robot: {robot}\noperator: {operator}\ntemperature: {temperature}\n")
+    place = ("-p", "alpine", "-m", folder.name)
+    terminal.run("mission", "create", *place, "--metadata", said, "--notes", notes)
+    terminal.run("upload", *place, f"{folder}/")

@@ -1,0 +1,77 @@
+"""What lasts in a browser: what was typed while a session ends or the server is away, and a store somewhere else."""
+
+import hashlib
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from kleinkram.recordings.sample import generate_mcap
+from tests.acceptance.conftest import wait_until
+from tests.system.conftest import OtherMachine
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_FIELDS = """
+undeclared: refuse
+fields:
+  - {name: operator, type: string, required: true, description: Who held the remote.}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_was_typed_lasts(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    (tmp_path / "said.yaml").write_text("operator: ada\n")
+    drive = generate_mcap(tmp_path / "drive.mcap", size_bytes=300_000).path
+    terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml")
+    terminal.run("upload", "-p", "Alps", "-m", "day", "--create", "--metadata", tmp_path / "said.yaml", drive)
+    invited = terminal.run("person", "invite", "ada@lab.example", "--json").json()
+    terminal.run("access", "grant", "WRITE", "-p", "Alps", "--to", "ada@lab.example")
+    mission = terminal.run("mission", "list", "--json").json()["items"][0]["id"]
+    wait_until(lambda: "/imu/data" in terminal.run("mission", "info", mission, "--json").out, "its topics to be known")
+    later = tmp_path / "later.txt"
+    later.write_text("what was seen")
+    api = house.told()["parts"]["api"]
+    seen = act("lasting.mjs", house, invited["url"], mission, api, later, pictures, timeout_s=250)
+
+    assert seen["errors"] == []
+    assert seen["ended"] == 204
+    assert seen["kept"] == ["grace", "Snow on the ridge."]
+    for form in ("metadata", "notes", "upload"):
+        assert "Nothing on this page is lost. Sign in" in seen[f"{form}Told"]
+    assert "it is tried again by itself" in seen["away"]
+    assert seen["alerts"] == 0, "calmly"
+    assert seen["keptWhileAway"] == "edith"
+    assert seen["changed"] == 200
+    assert seen["loadsOfMission"] == 1, "the page was never loaded anew"
+    assert seen["keptOfUpload"] == ["second", "beatrice"]
+    assert "The file is there." in seen["over"]
+    assert house.told()["parts"]["api"] != api
+    told = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
+    assert told["day"]["metadata"] == {"operator": "edith"}
+    assert told["second"]["metadata"] == {"operator": "beatrice"}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_from_another_machine(
+    house: House, act: Act, other_machine: OtherMachine, pictures: Path, tmp_path: Path
+) -> None:
+    address = f"http://{other_machine.our_address}:{house.port}"
+    house.options += ["--listen", "0.0.0.0", "--public-url", address]
+    house.start()
+    drive = Path(generate_mcap(tmp_path / "drive.mcap", size_bytes=12_000_000).path)
+    house.terminal.run("project", "create", "Alps")
+    seen = act("lasting_far.mjs", house, drive, pictures, inside=other_machine.command())
+
+    store = f"http://{other_machine.our_address}:{house.s3_port}"
+    assert seen["complaints"] == []
+    assert "The file is there." in seen["over"]
+    assert seen["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()
+    assert {each.split()[1] for each in seen["hosts"]} == {address, store}
+    assert f"PUT {store}" in seen["hosts"], "straight to the store, by its public address"
+    assert urlsplit(house.told()["store_url"]).hostname == "127.0.0.1", "which the server itself does not use"
