@@ -143,7 +143,7 @@ async function missionFromList() {
   return { files, topics, longest };
 }
 
-const MANY = [{ css: `main ${ROW}`, least: 10 }, { css: "[data-lanes] path" }, { css: "main a[href*='tab=topics']", text: String(places.topics) }];
+const MANY = [{ css: `main ${ROW}`, least: 10 }, { css: "[data-lanes] path" }];
 const TOPICS = [{ css: `main ${ROW}`, text: "/" }, { css: `main ${ROW} svg[role=img] path`, least: 10 }];
 
 /** The longest task of the main thread while somebody scrolls with a wheel, and then as fast as a scroll bar goes. */

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { afterClick, columnsFor, nextSort, rowAfter, sortedAs, tracks } from "./table";
+import { afterClick, columnsFor, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
 
 const columns = [
   { key: "name", title: "Name", sort: "name" },
@@ -47,5 +47,19 @@ describe("choosing rows", () => {
   it("takes all between two clicks, in either direction", () => {
     expect([...afterClick(new Set(["a"]), keys, 2, 0)].sort()).toEqual(["a", "b", "c"]);
     expect([...afterClick(new Set(["d"]), keys, 1, 3)].sort()).toEqual(["b", "c", "d"]);
+  });
+});
+
+describe("places of drawn rows", () => {
+  it("stay with the rows that stay, and pass from those that went to those that come", () => {
+    const first = placesOf([0, 1, 2, 3], new Map());
+    const second = placesOf([2, 3, 4, 5], first);
+    expect([...second.entries()].sort()).toEqual([[2, 2], [3, 3], [4, 0], [5, 1]]);
+    expect(new Set(placesOf([100, 101, 102, 103], second).values())).toEqual(new Set([0, 1, 2, 3]));
+  });
+  it("are never shared, also where more rows come than went", () => {
+    const more = placesOf([7, 1, 2, 3, 4, 5], placesOf([0, 1, 2], new Map()));
+    expect(new Set(more.values()).size).toBe(6);
+    expect([more.get(1), more.get(2)]).toEqual([1, 2]);
   });
 });

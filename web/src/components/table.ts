@@ -71,3 +71,21 @@ export function afterClick(
   }
   return result;
 }
+
+/** Returns the place of each row that is drawn: rows that stay keep theirs, those that come take those of rows that went. */
+export function placesOf(indexes: readonly number[], before: ReadonlyMap<number, number>): ReadonlyMap<number, number> {
+  const places = new Map<number, number>();
+  for (const index of indexes) {
+    const place = before.get(index);
+    if (place !== undefined) places.set(index, place);
+  }
+  const taken = new Set(places.values());
+  let free = 0;
+  for (const index of indexes) {
+    if (places.has(index)) continue;
+    while (taken.has(free)) free += 1;
+    places.set(index, free);
+    free += 1;
+  }
+  return places;
+}
