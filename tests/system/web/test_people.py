@@ -4,8 +4,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.acceptance.conftest import wait_until
+from tests.system.behind import sql
 from tests.system.house import House
 from tests.system.web.conftest import Act
+
+_FAILED = """
+INSERT INTO procrastinate_jobs (queue_name, task_name, status, attempts, args)
+  SELECT 'default', 'prove_blob', 'failed', 8, jsonb_build_object('ref', id) FROM blob RETURNING id, args ->> 'ref'
+"""
 
 
 @pytest.mark.slow
@@ -18,7 +25,10 @@ def test_somebody_comes_is_let_in_and_leaves(house: House, act: Act, pictures: P
     terminal.run("upload", "-p", "Alps", "-m", "ridge", "--create", tmp_path / "ridge.txt")
     terminal.run("mission", "delete", "ridge", "-p", "Alps", "--yes")
     project = terminal.run("project", "list", "--json").json()["items"][0]["id"]
-    seen = act("people.mjs", house, project, pictures, timeout_s=280)
+    # Proofs fail as often as they are tried where the store does not answer. This one can be made now.
+    ((job, blob),) = sql(house, _FAILED)
+
+    seen = act("people.mjs", house, project, job, pictures)
 
     assert seen["ran"] == [], "names full of markup do nothing"
     assert seen["complaints"] == []
@@ -39,4 +49,12 @@ def test_somebody_comes_is_let_in_and_leaves(house: House, act: Act, pictures: P
     assert set(seen["lines"]) == {"token.create", "token.revoke"}
     assert "robot" in seen["changes"]
     assert "1 session" in seen["left"]
-    assert seen["gone"] == 401
+    assert seen["power"] == [200, 403]
+    assert seen["reset"] == [401, 200], "a new password ends the sessions of the old one"
+    assert seen["gone"][0] == 401
+    assert "do not belong together" in seen["gone"][1], "whoever knows a password learns no more than a stranger"
+    assert seen["returned"] == 200
+    assert seen["failed"] == 1
+    ended = "SELECT status::text FROM procrastinate_jobs WHERE id = %s"
+    wait_until(lambda: sql(house, ended, job) in ([], [("succeeded",)]), "the job to be done")
+    assert sql(house, "SELECT state FROM blob WHERE id = %s", blob) == [("proven",)]
