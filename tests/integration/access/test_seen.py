@@ -13,9 +13,16 @@ from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 
 T = TypeVar("T")
-# In the short round, of one lab, what is asked of each thing is asked of so many of them by each who looks.
-_SEEDS, _SOME = 1, 4
-_ROUND = [pytest.param(seed, marks=[pytest.mark.slow] if seed >= _SEEDS else []) for seed in range(12)]
+# What is asked of each thing is asked of so many of them by each who looks.
+_SOME = {"short": 4, "long": 20, "longest": 10_000}
+_MARKS: dict[str, list[pytest.MarkDecorator]] = {"short": [], "long": [pytest.mark.slow], "longest": [pytest.mark.soak]}
+
+
+def _round(seed: int) -> str:
+    return "short" if seed == 0 else "long" if seed < 5 else "longest"
+
+
+_ROUND = [pytest.param(seed, marks=_MARKS[_round(seed)]) for seed in range(16)]
 
 
 @pytest.fixture(scope="module", params=_ROUND)
@@ -39,8 +46,8 @@ def _ids(items: Iterable[Any], key: str = "id") -> list[str]:
     return sorted(str(item[key]) for item in items)
 
 
-def _some(lab: Lab, eye: Eye, things: Sequence[T], most: int = _SOME) -> Sequence[T]:
-    return things if lab.seed >= _SEEDS else random.Random(f"{lab.seed} {eye.name}").sample(things, most)
+def _some(lab: Lab, eye: Eye, things: Sequence[T]) -> Sequence[T]:
+    return random.Random(f"{lab.seed} {eye.name}").sample(things, min(len(things), _SOME[_round(lab.seed)]))
 
 
 def _visible_files(lab: Lab, eye: Eye, missions: Iterable[Mission] | None = None) -> list[File]:
@@ -101,7 +108,7 @@ def test_searches(lab: Lab) -> None:
     for eye, api in _looks(lab):
         if not eye.reads:
             continue
-        for query, files in _some(lab, eye, _queries(lab, eye), 2):
+        for query, files in _some(lab, eye, _queries(lab, eye)):
             found = api.get("/search", {"query": query, "limit": "500"}).ok()
             assert _ids(found["files"]["items"]) == sorted(file.id for file in files), eye
             assert found["files"]["total"] == found["topics"]["total"] == len(files), eye
