@@ -68,7 +68,7 @@ def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pla
 
 def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
     """Sign in at the provider as somebody, up to where it asks whether it may say so."""
-    chromium.goto(f"{place.url}/sign-in?{urlencode({'return_to': '/sign-in/account'})}")
+    chromium.goto(f"{place.url}/sign-in?{urlencode({'return_to': '/account'})}")
     chromium.click("[data-provider=lab]")
     chromium.fill("login", name)
     chromium.fill("password", "any")
@@ -80,7 +80,7 @@ def sign_in(place: Place, chromium: Chromium, name: str) -> None:
     """Sign in as somebody, all the way."""
     go_to_provider(place, chromium, name)
     chromium.click("button[type=submit]")
-    chromium.arrive("/sign-in/account")
+    chromium.arrive("/account")
     chromium.see(f"Signed in as {name}")
 
 
@@ -96,9 +96,9 @@ def test_somebody_signs_in_and_out(place: Place, chromium: Chromium) -> None:
     sign_in(place, chromium, "ada")
     (cookie,) = (each for each in chromium.do("cookies") if each["name"] == "kleinkram")
     assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Lax")
-    chromium.click("[data-act=sign-out]")
+    chromium.click("[data-sign-out]")
     chromium.arrive("/sign-in")
-    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.goto(f"{place.url}/account")
     chromium.arrive("/sign-in")
     assert chromium.do("complaints") == []
 
@@ -122,7 +122,7 @@ def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None
     back = come_back(place, chromium, "ada")
     chromium.goto(re.sub("state=[^&]+", f"state={secrets.token_urlsafe(32)}", back))
     chromium.see("was not begun in this browser")
-    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.goto(f"{place.url}/account")
     chromium.arrive("/sign-in")
 
 
@@ -136,7 +136,7 @@ def test_a_way_back_that_somebody_else_began_signs_nobody_in(place: Place, chrom
 def test_a_replayed_code_signs_nobody_in(place: Place, chromium: Chromium) -> None:
     first = come_back(place, chromium, "ada")
     chromium.goto(first)
-    chromium.arrive("/sign-in/account")
+    chromium.arrive("/account")
     chromium.goto(first)
     chromium.see("was finished before")
     # The same code with a state that is good: the provider itself must say that it was used.
@@ -172,7 +172,7 @@ def test_a_provider_that_dies_on_the_way_is_told_plainly(place: Place, chromium:
         chromium.goto(back)
         chromium.see("The Lab could not be asked who you are")
         assert "cannot be reached" in place.refusals()[0]
-        chromium.goto(f"{place.url}/sign-in/account")
+        chromium.goto(f"{place.url}/account")
         chromium.arrive("/sign-in")
     finally:
         place.provider.start()
@@ -188,15 +188,15 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.keep(f"{place.url}/")
     chromium.click("form button")
     chromium.kept()
-    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.goto(f"{place.url}/account")
     chromium.see("Signed in as Some One")
-    chromium.click("[data-act=link]")
+    chromium.click("[data-ways] [data-provider=lab]")
     chromium.fill("login", "linked")
     chromium.fill("password", "any")
     chromium.click("button[type=submit]")
     chromium.see("Authorize")
     chromium.click("button[type=submit]")
-    chromium.arrive("/sign-in/account")
+    chromium.arrive("/account")
     chromium.do("fresh")
     go_to_provider(place, chromium, "linked")
     chromium.click("button[type=submit]")
@@ -208,7 +208,7 @@ def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> Non
     chromium.keep(f"{place.url}/")
     chromium.goto(link)
     chromium.kept()
-    chromium.goto(f"{place.url}/sign-in/account")
+    chromium.goto(f"{place.url}/account")
     chromium.see("Signed in as owner")
     chromium.do("fresh")
     chromium.goto(link)

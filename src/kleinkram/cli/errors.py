@@ -56,6 +56,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.RightExceeded: ExitCode.not_allowed,
     remote.LastOwner: ExitCode.conflict,
     remote.LastAdmin: ExitCode.conflict,
+    remote.LastWayIn: ExitCode.conflict,
     remote.GroupFixed: ExitCode.conflict,
     remote.NotFound: ExitCode.not_found,
     remote.AmbiguousName: ExitCode.conflict,

@@ -20,6 +20,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "login": ("kleinkram.cli.login", "login", "Sign in to a server."),
     "logout": ("kleinkram.cli.logout", "logout", "Sign out, and end the token."),
     "whoami": ("kleinkram.cli.whoami", "whoami", "Who the server takes you for."),
+    "account": ("kleinkram.cli.account", "app", "Your own account: info, unlink."),
     "session": ("kleinkram.cli.session", "app", "Browsers that you are signed in with: list, revoke."),
     "project": ("kleinkram.cli.project", "app", "Projects: create, list, info, update, delete."),
     "mission": ("kleinkram.cli.mission", "app", "Missions: the same, and complete, template."),

@@ -3,10 +3,16 @@
 import uuid
 from collections.abc import Iterator
 
+from pydantic import RootModel
+
 from kleinkram.client._http import Api
 from kleinkram.client._paging import pages
-from kleinkram.contract.accounts import OneTimeLink
+from kleinkram.contract.accounts import AccountRead, IdentityRead, OneTimeLink
 from kleinkram.contract.signing_in import MeRead, SessionRead
+
+
+class _Identities(RootModel[list[IdentityRead]]):
+    """The answer of a list that is never long."""
 
 
 class Me:
@@ -22,6 +28,23 @@ class Me:
             NotAuthenticated: it is unknown, expired or revoked.
         """
         return self._api.get("/me", MeRead)
+
+    def account(self) -> AccountRead:
+        """Return one's own account: name, addresses, affiliations, and whether there is a password."""
+        return self._api.get("/me/account", AccountRead)
+
+    def identities(self) -> list[IdentityRead]:
+        """Return under which providers' word one signs in."""
+        return self._api.get("/me/identities", _Identities).root
+
+    def unlink_identity(self, identity_id: uuid.UUID) -> None:
+        """Take a provider's word for oneself no more. Sessions, tokens and addresses stay.
+
+        Raises:
+            NotFound: none of one's own has that id.
+            LastWayIn: without it there would be no way to sign in.
+        """
+        self._api.delete(f"/me/identities/{identity_id}")
 
     def sign_out(self) -> None:
         """Revoke the token in use: from the next request on it is good for nothing. Those made with it stay.

@@ -179,11 +179,37 @@ class DeviceRead(_Told):
     expires_at: datetime.datetime
 
 
+class AddressRead(_Told):
+    """An address that is one's own; `verified_by` says by whose word: an issuer's URL, or how one came by it here."""
+
+    email: str
+    verified_at: datetime.datetime
+    verified_by: str
+
+
+class AccountRead(_Told):
+    """One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
+
+    `has_password`: that one may sign in with; none is kept here of who comes by a provider alone.
+    """
+
+    person: PersonRef
+    addresses: list[AddressRead]
+    affiliations: list[str]
+    has_password: bool
+    created_at: datetime.datetime
+
+
 class IdentityRead(_Told):
-    """Under whose word one signs in: `GET /me/identities`."""
+    """Under whose word one signs in: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
+
+    `provider` is its title, null where this server has it no more. `is_last`: without it there would be no way in.
+    """
 
     id: uuid.UUID
     issuer: str
+    provider: str | None
+    is_last: bool
     email: str | None
     created_at: datetime.datetime
     last_used_at: datetime.datetime

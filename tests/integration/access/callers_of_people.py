@@ -90,6 +90,31 @@ def _end_session(by: Asker) -> Request:
     return Request("DELETE", f"/me/sessions/{session_id}")
 
 
+def _unlink_identity(by: Asker) -> Request:
+    """Put an identity that is not the last way in: there is a password beside it."""
+    identity_id = str(uuid.uuid4())
+    if by.person_id is not None:
+        by.api.sql(
+            "INSERT INTO identity (id, person_id, issuer, subject) VALUES (%s, %s, 'https://id.example', %s)",
+            *(identity_id, by.person_id, identity_id),
+        )
+        by.api.sql(
+            "INSERT INTO password (person_id, hash) VALUES (%s, '$argon2id$none') ON CONFLICT DO NOTHING", by.person_id
+        )
+        by.api.sql(
+            "INSERT INTO person_email (email_key, email, person_id, verified_at, verified_by)"
+            " VALUES (%s, %s, %s, now(), 'unlinking')",
+            *(f"{identity_id}@lab.test", f"{identity_id}@lab.test", by.person_id),
+        )
+    return Request("DELETE", f"/me/identities/{identity_id}")
+
+
+def _forget_ways_in(by: Asker) -> None:
+    by.api.sql("DELETE FROM identity WHERE person_id = %s", by.person_id)
+    by.api.sql("DELETE FROM password WHERE person_id = %s AND hash = '$argon2id$none'", by.person_id)
+    by.api.sql("DELETE FROM person_email WHERE person_id = %s AND verified_by = 'unlinking'", by.person_id)
+
+
 def _begin_sessions_again(by: Asker) -> None:
     by.api.sql("UPDATE session SET revoked_at = NULL WHERE person_id = %s", by.person_id)
 
@@ -173,7 +198,9 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     "list_sessions": (Caller(get("/me/sessions"), About.server),),
     "end_session": (Caller(_end_session, About.server),),
     "end_all_sessions": (Caller(delete("/me/sessions"), About.server, undo=_begin_sessions_again),),
+    "get_account": (Caller(get("/me/account"), About.server),),
     "list_identities": (Caller(get("/me/identities"), About.server),),
+    "unlink_identity": (Caller(_unlink_identity, About.server, undo=_forget_ways_in),),
     "create_owner_link": (Caller(post("/auth/owner-link"), About.owner, needs=_READ),),
     "change_password": (
         Caller(post("/auth/password/change", lambda _: _PASSWORDS), About.server, passes="sign_in_failed"),

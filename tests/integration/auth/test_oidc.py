@@ -2,61 +2,25 @@
 
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 from joserfc.jwk import RSAKey
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.settings import OidcProvider, OpenTo
+from kleinkram.server.settings import OpenTo
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email
 from tests.integration.auth.browser import Browser
-from tests.integration.auth.fake_provider import CLIENT_ID, CLIENT_SECRET, FakeProvider, running_provider
+from tests.integration.auth.fake_provider import CLIENT_ID
+from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
-from tests.integration.running import Answer, Api
+from tests.integration.running import Api
 
+__all__ = ["_fake", "_lab", "_shared"]
 Change = Callable[[dict[str, Any]], dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Lab:
-    """A server with one provider, which the settings trust for lab.example and which opens accounts for that."""
-
-    api: Api
-    provider: FakeProvider
-
-    def come_back(self, browser: Browser, *, return_to: str = "/") -> Answer:
-        """Sign in as far as the provider sends the browser back, and return what the server says then."""
-        told = browser.post("/auth/providers/lab", {"return_to": return_to}).ok()
-        return browser.get(self.provider.authorize(told["url"]))
-
-    def sign_in(self, subject: str, **claims: Any) -> Browser:
-        """Sign in a new browser as somebody; it must go well."""
-        self.provider.sign_in_as(subject, **claims)
-        browser = Browser(self.api)
-        answer = self.come_back(browser)
-        assert (answer.status, answer.headers.get("location")) == (303, "/"), answer.body
-        return browser
-
-    def refuses(self, subject: str = "ada", **claims: Any) -> str:
-        """Sign in as somebody; it must be refused with a page, whose sentence is returned."""
-        self.provider.sign_in_as(subject, **claims)
-        browser = Browser(self.api)
-        answer = self.come_back(browser)
-        assert answer.status in {403, 503}
-        assert not browser.is_signed_in()
-        return sentence(answer)
-
-
-def sentence(answer: Answer) -> str:
-    """Return what the page of a failure says."""
-    found = re.search(r'<p role="alert">(.*?)</p>', str(answer.body))
-    assert found is not None, answer.body
-    return found.group(1)
 
 
 def latest_refusal(api: Api) -> Any:
@@ -65,38 +29,9 @@ def latest_refusal(api: Api) -> Any:
     return next(event["after"] for event in events if event["noun_name"] == "GET /sign-in/callback/{provider}")
 
 
-def _provider(name: str, url: str, **settings: Any) -> OidcProvider:
-    known = {"client_id": CLIENT_ID, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"]}
-    return OidcProvider.model_validate({"name": name, "title": "The Lab", "issuer": url, **known, **settings})
-
-
-@pytest.fixture(name="provider", scope="module")
-def _fake() -> Iterator[FakeProvider]:
-    with running_provider() as provider:
-        yield provider
-
-
-@pytest.fixture(name="shared", scope="module")
-def _shared(start_api: StartApi, provider: FakeProvider) -> Api:
-    return start_api(oidc_providers=[_provider("lab", provider.url, timeout_s=1)])
-
-
-@pytest.fixture(name="lab")
-def _lab(shared: Api, provider: FakeProvider) -> Lab:
-    provider.reset()
-    # What the process keeps of a provider, it keeps for an hour: each test begins without.
-    known = shared.app.state.providers.get("lab")
-    known._discovered = known._keys = None
-    return Lab(shared, provider)
-
-
-def _told(email: str, **more: Any) -> dict[str, Any]:
-    return {"email": email, "email_verified": True, "name": "Ada Lovelace", **more}
-
-
 def test_the_first_sign_in_makes_an_account_and_the_next_finds_it(lab: Lab) -> None:
     email = any_email()
-    first = lab.sign_in("ada-1", **_told(email)).me()
+    first = lab.sign_in("ada-1", **known_as(email)).me()
     assert (first["person"]["name"], first["emails"]) == ("Ada Lovelace", [email])
     assert first["credential"]["name"] == lab.provider.url
     renamed = lab.sign_in("ada-1", email="ada@elsewhere.example", name="Other").me()
@@ -108,18 +43,18 @@ def test_the_first_sign_in_makes_an_account_and_the_next_finds_it(lab: Lab) -> N
 def test_a_verified_address_opens_what_was_granted_to_it(lab: Lab) -> None:
     email, project = any_email(), lab.api.project()
     people.grant(lab.api, people.email_group(lab.api, email), Right.read, project_id=project["id"])
-    browser = lab.sign_in("granted", **_told(email))
+    browser = lab.sign_in("granted", **known_as(email))
     assert browser.get(f"/api/v1/projects/{project['id']}").ok()["name"] == project["name"]
 
 
 def test_claims_that_only_userinfo_tells_are_asked_for(lab: Lab) -> None:
     lab.provider.tells_in_userinfo = True
     email = any_email()
-    assert lab.sign_in("shy", **_told(email)).me()["emails"] == [email]
+    assert lab.sign_in("shy", **known_as(email)).me()["emails"] == [email]
 
 
 def test_a_browser_goes_where_it_wanted_to_and_nowhere_else(lab: Lab) -> None:
-    lab.provider.sign_in_as("traveller", **_told(any_email()))
+    lab.provider.sign_in_as("traveller", **known_as(any_email()))
     answer = lab.come_back(Browser(lab.api), return_to="/projects?a=1")
     assert answer.headers["location"] == "/projects?a=1"
     for elsewhere in ("https://evil.example", "//evil.example", "/\\evil.example", "javascript:alert(1)", "x"):
@@ -132,7 +67,7 @@ def test_a_browser_goes_where_it_wanted_to_and_nowhere_else(lab: Lab) -> None:
 
 def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
     made = account(lab.api)
-    browser = lab.sign_in("linked", **_told(made.email))
+    browser = lab.sign_in("linked", **known_as(made.email))
     assert browser.me()["person"]["id"] == made.id
     (own,) = browser.get("/api/v1/me/identities").ok()
     assert (own["issuer"], own["email"]) == (lab.provider.url, made.email)
@@ -155,28 +90,28 @@ def test_an_address_that_is_not_verified_opens_nobody_s_account(lab: Lab, verifi
 def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: Lab) -> None:
     for domain in ("other.example", "sub.lab.example", "lab.example.evil.example"):
         made = account(lab.api, email=f"{any_email().partition('@')[0]}@{domain}")
-        assert "does not get an account" in lab.refuses(f"thief of {domain}", **_told(made.email))
+        assert "does not get an account" in lab.refuses(f"thief of {domain}", **known_as(made.email))
 
 
 def test_an_address_that_was_given_to_somebody_else_does_not_open_its_former_owner_s_account(lab: Lab) -> None:
     email = any_email()
-    former = lab.sign_in("left the lab", **_told(email)).me()["person"]["id"]
-    assert "as somebody else" in lab.refuses("came later", **_told(email))
+    former = lab.sign_in("left the lab", **known_as(email)).me()["person"]["id"]
+    assert "as somebody else" in lab.refuses("came later", **known_as(email))
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", former) == [(1,)]
 
 
 def test_one_links_a_provider_oneself_when_signed_in(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("mine", email="me@private.example", email_verified=True)
-    told = made.browser.post("/auth/providers/lab/link", {"return_to": "/sign-in/account"}).ok()
+    told = made.browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
     answer = made.browser.get(lab.provider.authorize(told["url"]))
-    assert (answer.status, answer.headers["location"]) == (303, "/sign-in/account")
+    assert (answer.status, answer.headers["location"]) == (303, "/account")
     assert lab.sign_in("mine").me()["person"]["id"] == made.id
     assert made.browser.me()["emails"] == [made.email]
 
 
 def test_an_identity_that_is_somebody_else_s_is_not_linked(lab: Lab) -> None:
-    lab.sign_in("taken", **_told(any_email()))
+    lab.sign_in("taken", **known_as(any_email()))
     made = account(lab.api)
     lab.provider.sign_in_as("taken")
     told = made.browser.post("/auth/providers/lab/link", {}).ok()
@@ -200,36 +135,36 @@ def test_whoever_has_no_trusted_address_gets_no_account(lab: Lab) -> None:
 
 
 def test_who_is_invited_gets_one_where_nobody_else_does(start_api: StartApi, lab: Lab) -> None:
-    settings = _provider("lab", lab.provider.url, open_to=OpenTo.invited)
+    settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
     email = any_email()
-    assert "by invitation" in invited.refuses("guest", **_told(email))
+    assert "by invitation" in invited.refuses("guest", **known_as(email))
     invited.api.post("/people/invitations", {"email": email.upper()}).ok(201)
-    assert invited.sign_in("guest", **_told(email)).me()["emails"] == [email]
-    assert "by invitation" in invited.refuses("another", **_told(any_email()))
+    assert invited.sign_in("guest", **known_as(email)).me()["emails"] == [email]
+    assert "by invitation" in invited.refuses("another", **known_as(any_email()))
 
 
 def test_an_invitation_ends_with_the_power_of_whoever_made_it(start_api: StartApi, lab: Lab) -> None:
-    settings = _provider("lab", lab.provider.url, open_to=OpenTo.invited)
+    settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
     email, leaving = any_email(), people.person(invited.api, admin=True)
     invited.api.as_(leaving.token).post("/people/invitations", {"email": email}).ok(201)
     invited.api.post(f"/people/{leaving.id}/deactivate").ok()
-    assert "by invitation" in invited.refuses("ghost", **_told(email))
+    assert "by invitation" in invited.refuses("ghost", **known_as(email))
 
 
 def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: StartApi, lab: Lab) -> None:
-    settings = _provider("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
+    settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
     anybody = Lab(start_api(oidc_providers=[settings]), lab.provider)
-    assert anybody.sign_in("whoever", **_told(any_email())).me()["emails"] == []
+    assert anybody.sign_in("whoever", **known_as(any_email())).me()["emails"] == []
     # An address that somebody else has makes no difference: it is neither believed nor told of.
     made = account(anybody.api)
-    me = anybody.sign_in("namesake", **_told(made.email)).me()
+    me = anybody.sign_in("namesake", **known_as(made.email)).me()
     assert (me["person"]["id"] != made.id, me["emails"]) == (True, [])
 
 
 def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:
-    lab.provider.sign_in_as("hasty", **_told(any_email()))
+    lab.provider.sign_in_as("hasty", **known_as(any_email()))
     browsers = [Browser(lab.api) for _ in range(4)]
     backs = [lab.provider.authorize(each.post("/auth/providers/lab", {}).ok()["url"]) for each in browsers]
     with ThreadPoolExecutor(4) as pool:
@@ -239,7 +174,7 @@ def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:
 
 
 def test_who_left_is_refused(lab: Lab) -> None:
-    me = lab.sign_in("left", **_told(any_email())).me()
+    me = lab.sign_in("left", **known_as(any_email())).me()
     lab.api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", me["person"]["id"])
     assert "deactivated" in lab.refuses("left")
 
@@ -276,11 +211,11 @@ def _with(**changed: Any) -> Change:
 )
 def test_an_id_token_that_is_not_for_this_sign_in_is_not_believed(lab: Lab, change: Change) -> None:
     lab.provider.change = change
-    assert "could not say who you are" in lab.refuses(**_told(any_email()))
+    assert "could not say who you are" in lab.refuses(**known_as(any_email()))
 
 
 def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None:
-    lab.sign_in("signed", **_told(any_email()))
+    lab.sign_in("signed", **known_as(any_email()))
     published = lab.provider.keys
     kid = published[0].kid
     lab.provider.keys = [RSAKey.generate_key(2048, parameters={"kid": kid or ""})]
@@ -294,11 +229,11 @@ def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None
             lab.provider.keys = forged
 
     lab.provider.answer = keys_stay  # type: ignore[method-assign]  # a provider whose token endpoint lies
-    assert "nobody knows who signed" in lab.refuses("signed", **_told(any_email()))
+    assert "nobody knows who signed" in lab.refuses("signed", **known_as(any_email()))
 
 
 def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
-    lab.sign_in("deep", **_told(any_email()))
+    lab.sign_in("deep", **known_as(any_email()))
     real = lab.provider.answer
 
     def endless(path: str, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
@@ -309,7 +244,7 @@ def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
 
 
 def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> None:
-    lab.sign_in("rotating", **_told(any_email()))
+    lab.sign_in("rotating", **known_as(any_email()))
     lab.sign_in("rotating")
     assert lab.provider.seen.count("/jwks") == 1
     lab.provider.rotate()
@@ -319,7 +254,7 @@ def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> No
 
 
 def test_a_way_back_works_once_and_in_the_browser_that_began_it(lab: Lab) -> None:
-    lab.provider.sign_in_as("once", **_told(any_email()))
+    lab.provider.sign_in_as("once", **known_as(any_email()))
     browser, other = Browser(lab.api), Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
     other.post("/auth/providers/lab", {}).ok()
@@ -330,14 +265,14 @@ def test_a_way_back_works_once_and_in_the_browser_that_began_it(lab: Lab) -> Non
 
 
 def test_two_tabs_of_a_browser_sign_in_side_by_side(lab: Lab) -> None:
-    lab.provider.sign_in_as("tabs", **_told(any_email()))
+    lab.provider.sign_in_as("tabs", **known_as(any_email()))
     browser = Browser(lab.api)
     backs = [lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"]) for _ in range(2)]
     assert [browser.get(back).status for back in backs] == [303, 303]
 
 
 def test_a_wrong_state_or_one_that_is_too_old_is_refused(lab: Lab) -> None:
-    lab.provider.sign_in_as("late", **_told(any_email()))
+    lab.provider.sign_in_as("late", **known_as(any_email()))
     browser = Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
     assert "not begun" in sentence(browser.get(re.sub("state=[^&]+", "state=wrong", back)))
@@ -368,7 +303,7 @@ def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, said
 def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
     lab.provider.tells_in_userinfo = True
-    assert "could not be asked" in lab.refuses(**_told(any_email()))
+    assert "could not be asked" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 
 
@@ -397,7 +332,7 @@ def test_the_page_offers_the_provider_beside_the_password(lab: Lab) -> None:
 
 def test_a_local_account_keeps_its_password_beside_the_provider(lab: Lab) -> None:
     made = account(lab.api)
-    lab.sign_in("both", **_told(made.email))
+    lab.sign_in("both", **known_as(made.email))
     browser = Browser(lab.api)
     browser.post("/auth/password", {"email": made.email, "password": PASSWORD}).ok()
     assert browser.me()["person"]["id"] == made.id

@@ -48,6 +48,13 @@ describe("a session that ends while somebody works", () => {
   });
 });
 
+it("does not ask to sign in again where a password was wrong", async () => {
+  noteSignedIn(true);
+  fetched.mockImplementation(() => Promise.resolve(json(401, { ...ENDED, code: "sign_in_failed" })));
+  await expect(make()).rejects.toMatchObject({ code: "sign_in_failed" });
+  expect(isAskingToSignIn.value).toBe(false);
+});
+
 it("does not ask a stranger to sign in again", async () => {
   fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
   await expect(make()).rejects.toBeInstanceOf(Problem);

@@ -11,8 +11,15 @@ const NOT_AUTHENTICATED = 401;
 async function send(request: Request): Promise<Response> {
   const again = request.clone();
   const answer = await fetch(request);
-  if (answer.status !== NOT_AUTHENTICATED || !(await signInAgain())) return answer;
+  if (!(await hasEnded(answer)) || !(await signInAgain())) return answer;
   return fetch(again);
+}
+
+/** Says whether an answer is that of a session which has ended: a password that is wrong is refused with 401 as well. */
+async function hasEnded(answer: Response): Promise<boolean> {
+  if (answer.status !== NOT_AUTHENTICATED) return false;
+  const told: unknown = await answer.clone().json().catch(() => null);
+  return !(typeof told === "object" && told !== null && "code" in told && told.code === "sign_in_failed");
 }
 
 /** The API, one method a verb: `call(api.GET("/api/v1/projects", { params }))`. */

@@ -1,5 +1,5 @@
 // Every view and its address. Each page is a chunk of its own, fetched when somebody goes there.
-// The server answers with the app under these first words alone: they stand in server/web/routes.py too.
+// The server answers with the app under these first words alone: they stand in server/access/operations.py too.
 import type { RouteRecordRaw } from "vue-router";
 
 declare module "vue-router" {
@@ -27,6 +27,7 @@ export const routes: RouteRecordRaw[] = [
   { path: "/people/:personId", name: "person", component: () => import("@/features/people/PersonPage.vue") },
   { path: "/groups", name: "groups", component: () => import("@/features/groups/GroupsPage.vue") },
   { path: "/groups/:groupId", name: "group", component: () => import("@/features/groups/GroupPage.vue") },
+  { path: "/account", name: "account", component: () => import("@/features/account/AccountPage.vue") },
   { path: "/tokens", name: "tokens", component: () => import("@/features/tokens/TokensPage.vue") },
   { path: "/sessions", name: "sessions", component: () => import("@/features/sessions/SessionsPage.vue") },
   { path: "/audit", name: "audit", component: () => import("@/features/audit/AuditPage.vue") },

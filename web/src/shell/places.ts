@@ -1,7 +1,7 @@
 // Where the rail, the bar and the palette lead.
 import type { RouteLocationRaw } from "vue-router";
 import {
-  iconAdmin, iconAudit, iconHome, iconPeople, iconProjects, iconPublic, iconSearch, iconSession, iconToken, iconTrash,
+  iconAdmin, iconAudit, iconHome, iconMe, iconPeople, iconProjects, iconPublic, iconSearch, iconSession, iconToken, iconTrash,
   iconUpload,
 } from "@/components/icons";
 import { texts } from "@/texts/shell";
@@ -36,6 +36,7 @@ export const places: readonly Place[] = [
 /** Pages that the rail does not show, and the palette does. */
 export const furtherPlaces: readonly Place[] = [
   place("groups", iconPeople, "o"),
+  place("account", iconMe, "c"),
   place("tokens", iconToken, "k"),
   place("sessions", iconSession, "n"),
   place("public", iconPublic, "b"),

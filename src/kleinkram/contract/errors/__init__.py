@@ -46,6 +46,7 @@ from kleinkram.contract.errors.server import (
 )
 from kleinkram.contract.errors.signing_in import (
     CodeGone,
+    LastWayIn,
     NotAuthenticated,
     ProviderUnavailable,
     SignInDenied,
@@ -78,6 +79,7 @@ __all__ = [
     "KleinkramError",
     "LastAdmin",
     "LastOwner",
+    "LastWayIn",
     "MetadataInvalid",
     "MethodNotAllowed",
     "NameLeased",

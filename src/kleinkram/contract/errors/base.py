@@ -28,6 +28,7 @@ class ErrorCode(str, enum.Enum):
     right_exceeded = "right_exceeded"
     last_owner = "last_owner"
     last_admin = "last_admin"
+    last_way_in = "last_way_in"
     group_fixed = "group_fixed"
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"

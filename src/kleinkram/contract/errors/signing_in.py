@@ -83,3 +83,12 @@ class ProviderUnavailable(KleinkramError):
     status = 503
     provider: str
     reason: str
+
+
+@dataclass(eq=False)
+class LastWayIn(KleinkramError):
+    """{provider} stays linked: it is the only way left by which you could sign in. Link another one first, or ask an admin for a link to a password."""  # noqa: E501  one sentence
+
+    code = ErrorCode.last_way_in
+    status = 409
+    provider: str

@@ -154,7 +154,9 @@ OPERATIONS: dict[str, Need] = {
     "list_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
     "end_session": Need(On.nothing, None, _ADMIN, boundless=True),
     "end_all_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
+    "get_account": Need(On.nothing, None, _ADMIN, boundless=True),
     "list_identities": Need(On.nothing, None, _ADMIN, boundless=True),
+    "unlink_identity": Need(On.nothing, None, _ADMIN, boundless=True),
     "create_owner_link": Need(On.server, None, _ADMIN),
     "change_password": Need(On.nothing, None, _ADMIN, browsers=True),
     "link_provider": Need(On.nothing, None, _ADMIN, browsers=True),
@@ -181,6 +183,7 @@ OPERATIONS: dict[str, Need] = {
 
 # The first words of the app's addresses; web/src/router/routes.ts says what is shown there.
 PLACES = (
+    "account",
     "admin",
     "audit",
     "files",

@@ -2,13 +2,15 @@
 
 An identity that is known opens its account. One that is not is linked to the account of its address only where the
 provider verified that address, the settings trust it for that domain, and the provider does not know that account's
-owner as somebody else: addresses are given to new people. Else the person links it, signed in. Whoever's address is
-not proven is told nothing of it: the answer is the same whether it has an account or not.
+owner as somebody else: addresses are given to new people. Else the person links it, signed in. One that was unlinked
+is linked again by who is signed in, never by itself. Whoever's address is not proven is told nothing of it: the answer
+is the same whether it has an account or not.
 """
 
 import uuid
 
-from sqlalchemy import exists, func, insert, select, update
+from sqlalchemy import ColumnElement, exists, func, select, update
+from sqlalchemy.dialects.postgresql import insert
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
 from kleinkram.contract.emails import check_email, email_domain, email_key
@@ -41,6 +43,7 @@ async def open_account(db: Connection, asker: Actor, *, vouched: Vouched, provid
     if known is not None:
         await _prove(db, known, proven, provider)
         return known
+    await _see_that_it_was_not_unlinked(db, vouched, provider)
     owner = await _owner_of(db, proven)
     if owner is None:
         return await _new_account(db, asker, vouched=vouched, provider=provider, proven=proven)
@@ -83,10 +86,22 @@ def _is_trusted(vouched: Vouched, address: str | None, provider: OidcProvider) -
 
 
 async def _use_identity(db: Connection, vouched: Vouched) -> uuid.UUID | None:
-    same = (identity.c.issuer == vouched.issuer) & (identity.c.subject == vouched.subject)
-    stmt = update(identity).where(same).values(last_used_at=func.now(), email=_address(vouched))
+    linked = _same(vouched) & identity.c.unlinked_at.is_(None)
+    stmt = update(identity).where(linked).values(last_used_at=func.now(), email=_address(vouched))
     person_id: uuid.UUID | None = (await db.execute(stmt.returning(identity.c.person_id))).scalar_one_or_none()
     return person_id
+
+
+def _same(vouched: Vouched) -> ColumnElement[bool]:
+    return (identity.c.issuer == vouched.issuer) & (identity.c.subject == vouched.subject)
+
+
+async def _see_that_it_was_not_unlinked(db: Connection, vouched: Vouched, provider: OidcProvider) -> None:
+    if (await db.execute(select(identity.c.id).where(_same(vouched)))).first() is not None:
+        raise SignInRefused(
+            reason=f"this account of {provider.title} was unlinked here. Sign in another way, and link it again on the "
+            "page /account, or ask one of this server's admins."
+        )
 
 
 async def _owner_of(db: Connection, address: str | None) -> uuid.UUID | None:
@@ -98,7 +113,7 @@ async def _owner_of(db: Connection, address: str | None) -> uuid.UUID | None:
 
 
 async def _is_known_to(db: Connection, person_id: uuid.UUID, provider: OidcProvider) -> bool:
-    """Say whether somebody has signed in by a provider, which knows one person by one identity."""
+    """Say whether somebody has signed in by a provider, which knows one person by one identity; if only once."""
     theirs = exists().where(identity.c.person_id == person_id, identity.c.issuer == provider.issuer)
     return bool((await db.execute(select(theirs))).scalar_one())
 
@@ -113,16 +128,12 @@ async def _prove(db: Connection, person_id: uuid.UUID, address: str | None, prov
 async def _link(
     db: Connection, actor: Actor, *, person_id: uuid.UUID, vouched: Vouched, provider: OidcProvider
 ) -> None:
-    identity_id = uuid.uuid4()
-    await db.execute(
-        insert(identity).values(
-            id=identity_id,
-            person_id=person_id,
-            issuer=vouched.issuer,
-            subject=vouched.subject,
-            email=_address(vouched),
-        )
-    )
+    row = {"person_id": person_id, "issuer": vouched.issuer, "subject": vouched.subject, "email": _address(vouched)}
+    # One that was unlinked, by whomever, is theirs who have it now.
+    again = {**row, "created_at": func.now(), "last_used_at": func.now(), "unlinked_at": None}
+    linked = insert(identity).values(id=uuid.uuid4(), **row)
+    linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=again)
+    identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
     after: Metadata = {"issuer": vouched.issuer, "email": vouched.email, "person_id": str(person_id)}
     await record(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
 
@@ -147,7 +158,7 @@ def _see_that_it_is_open(vouched: Vouched, provider: OidcProvider, proven: str |
         return
     linking = (
         f"If you have an account, sign in as you did before and add {provider.title} to it: "
-        "“Link another way to sign in” on the page /sign-in/account."
+        "“Link another way to sign in” on the page /account."
     )
     if provider.open_to is OpenTo.invited:
         raise SignInRefused(

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.accounts import (
+    AccountRead,
     DeviceDecision,
     DeviceRead,
     IdentityRead,
@@ -25,7 +26,7 @@ from kleinkram.contract.signing_in import (
     SessionRead,
     SignedIn,
 )
-from kleinkram.server.auth import local, logins, me, sessions
+from kleinkram.server.auth import local, logins, me, own, sessions
 from kleinkram.server.auth.door import CurrentDoor
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
@@ -125,10 +126,24 @@ async def end_session(session_id: uuid.UUID, db: Transaction, actor: CurrentActo
     await sessions.end_session(db, actor, session_id=session_id)
 
 
+@me_router.get("/account", operation_id="get_account")
+async def get_account(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> AccountRead:
+    """Return one's own account: name, addresses, affiliations, and whether there is a password."""
+    return await own.get_account(db, actor, settings=settings)
+
+
 @me_router.get("/identities", operation_id="list_identities")
-async def list_identities(db: Transaction, actor: CurrentActor) -> list[IdentityRead]:
+async def list_identities(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> list[IdentityRead]:
     """List under whose word one signs in."""
-    return await me.list_identities(db, actor)
+    return await own.list_identities(db, actor, settings=settings)
+
+
+@me_router.delete("/identities/{identity_id}", operation_id="unlink_identity", status_code=204)
+async def unlink_identity(
+    identity_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> None:
+    """Take a provider's word for oneself no more. The last way to sign in stays; nothing else ends."""
+    await own.unlink_identity(db, actor, identity_id=identity_id, settings=settings)
 
 
 @people_router.post("/invitations", operation_id="invite_person", status_code=201)

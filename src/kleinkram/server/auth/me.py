@@ -2,13 +2,12 @@
 
 from sqlalchemy import select
 
-from kleinkram.contract.accounts import IdentityRead
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.contract.rights import GroupKind
 from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import access_group, identity, membership, person_email, session
+from kleinkram.server.tables import access_group, membership, person_email, session
 from kleinkram.server.tokens.service import get_token
 
 
@@ -42,17 +41,6 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
         is_admin=actor.is_admin,
         credential=await _credential(db, actor),
     )
-
-
-async def list_identities(db: Connection, actor: Actor) -> list[IdentityRead]:
-    """Return under whose word somebody signs in, in the order in which they were added."""
-    own = select(identity).where(identity.c.person_id == actor.person_id).order_by(identity.c.created_at)
-    return [
-        IdentityRead(
-            id=row.id, issuer=row.issuer, email=row.email, created_at=row.created_at, last_used_at=row.last_used_at
-        )
-        for row in await db.execute(own)
-    ]
 
 
 async def _credential(db: Connection, actor: Actor) -> CredentialRead:

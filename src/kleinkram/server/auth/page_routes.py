@@ -26,7 +26,6 @@ _PAGES: dict[str, Callable[[Settings], HTMLResponse]] = {
     "claim": pages.claim_page,
     "device": pages.device_page,
     "cli": pages.cli_page,
-    "account": pages.account_page,
 }
 _STATIC = {"sign-in.js": "text/javascript", "sign-in.css": "text/css"}
 _Text = Annotated[str, Field(max_length=2000)]

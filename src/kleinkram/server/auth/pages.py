@@ -29,7 +29,7 @@ _NAME = '<label>Your name<input name="name" autocomplete="name" maxlength="128" 
 
 def sign_in_page(settings: Settings) -> HTMLResponse:
     """Return the page that offers the ways to sign in."""
-    ways = [_provider_button(each.name, f"Sign in with {each.title}", "begin") for each in settings.oidc_providers]
+    ways = [_provider_button(each.name, f"Sign in with {each.title}") for each in settings.oidc_providers]
     if settings.local_accounts:
         form = f'{_EMAIL}<label>Password<input name="password" type="password" autocomplete="current-password"'
         ways.append(_form("password", f"{form} required></label>", "Sign in"))
@@ -78,24 +78,6 @@ def cli_page(settings: Settings) -> HTMLResponse:
     return _page(settings, "Sign a program in", "cli", _decision())
 
 
-def account_page(settings: Settings) -> HTMLResponse:
-    """Return the page about one's own account: other ways to sign in, signing out."""
-    links = [_provider_button(each.name, f"Link {each.title}", "link") for each in settings.oidc_providers]
-    change = (
-        '<label>Password until now<input name="old_password" type="password" autocomplete="current-password" required>'
-        "</label>" + _CHOSEN.replace('name="password"', 'name="new_password"')
-    )
-    body = (
-        '<p id="who"></p>'
-        + (f"<h2>Link another way to sign in</h2>{''.join(links)}" if links else "")
-        + (f"<h2>Change your password</h2>{_form('change', change, 'Change it')}" if settings.local_accounts else "")
-        + '<h2>Sign out</h2><button type="button" data-act="sign-out">This browser</button>'
-        + '<button type="button" data-act="sign-out-everywhere">Everywhere</button>'
-        '<p class="small"><a href="/">Back to your missions</a></p>'
-    )
-    return _page(settings, "Your account", "account", body)
-
-
 def error_page(settings: Settings, error: KleinkramError) -> HTMLResponse:
     """Return the page that says what went wrong, in the error's own sentence."""
     body = f'<p role="alert">{escape(error.sentence())}</p><p><a href="/sign-in">Sign in</a></p>'
@@ -121,8 +103,8 @@ def _form(name: str, fields: str, button: str) -> str:
     return f'<form method="post" data-form="{name}">{fields}<button class="primary">{escape(button)}</button></form>'
 
 
-def _provider_button(name: str, text: str, act: str) -> str:
-    return f'<button type="button" data-act="{act}" data-provider="{escape(name)}">{escape(text)}</button>'
+def _provider_button(name: str, text: str) -> str:
+    return f'<button type="button" data-act="begin" data-provider="{escape(name)}">{escape(text)}</button>'
 
 
 def _decision() -> str:

@@ -41,6 +41,7 @@ class LoginKind(str, enum.Enum):
 
 
 # One person = one account, under as many identities as providers vouch for them. `email` is as the provider told it.
+# One that was unlinked stays as such: else the provider's word on its address would link it again by itself.
 identity = Table(
     "identity",
     metadata,
@@ -51,6 +52,7 @@ identity = Table(
     Column("email", Text),
     created_at_column(),
     Column("last_used_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
+    Column("unlinked_at", DateTime(timezone=True)),
     UniqueConstraint("issuer", "subject"),
 )
 

@@ -15,7 +15,7 @@ function say(text) {
 // Only to a path of this server: never to another one, however it is written.
 function home() {
   const wanted = asked.get("return_to") || "/";
-  return /^\/($|[^/\\])/.test(wanted) && new URL(wanted, location.origin).origin === location.origin ? wanted : "/sign-in/account";
+  return /^\/($|[^/\\])/.test(wanted) && new URL(wanted, location.origin).origin === location.origin ? wanted : "/";
 }
 
 function here() {
@@ -81,10 +81,6 @@ const forms = {
     await ask("POST", "/auth/claim", { ...given, code: given.code.trim() });
     location.replace(home());
   },
-  change: async (given) => {
-    await ask("POST", "/auth/password/change", given);
-    say("Your password was changed; your other browsers were signed out.");
-  },
   device: async (given) => {
     const me = await whoIsHere();
     const device = await ask("POST", "/auth/device/look", given);
@@ -124,18 +120,6 @@ const acts = {
     const told = await ask("POST", `/auth/providers/${button.dataset.provider}`, { return_to: home() });
     location.assign(told.url);
   },
-  link: async (button) => {
-    const told = await ask("POST", `/auth/providers/${button.dataset.provider}/link`, { return_to: "/sign-in/account" });
-    location.assign(told.url);
-  },
-  "sign-out": async () => {
-    await ask("POST", "/auth/sign-out");
-    location.assign("/sign-in");
-  },
-  "sign-out-everywhere": async () => {
-    await ask("DELETE", "/me/sessions");
-    location.assign("/sign-in");
-  },
   approve: async () => decisions[page].approve(),
   deny: async () => decisions[page].deny(),
 };
@@ -164,9 +148,6 @@ const begin = {
     document.querySelector("[name=user_code]").value = asked.get("user_code") || "";
   },
   cli: async () => showDecision(await whoIsHere(), asked.get("client") || "klein", "this machine"),
-  account: async () => {
-    document.getElementById("who").textContent = `Signed in as ${(await whoIsHere()).person.name}`;
-  },
 };
 
 for (const form of document.querySelectorAll("form")) {

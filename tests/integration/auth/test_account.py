@@ -1,0 +1,194 @@
+"""One's own account: what it says, and unlinking a provider, which locks nobody out and ends nothing else."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from kleinkram import connect
+from kleinkram.cli.main import app
+from kleinkram.contract.errors import LastWayIn, NotFound
+from kleinkram.contract.rights import Scope
+from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.settings import Affiliation
+from tests.integration import people
+from tests.integration.auth.accounts import PASSWORD, account, any_email, sign_in, signed_in
+from tests.integration.auth.browser import Browser
+from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
+from tests.integration.conftest import StartApi
+
+__all__ = ["_fake", "_lab", "_shared"]
+
+
+def _link(lab: Lab, browser: Browser, subject: str, **claims: Any) -> Any:
+    """Link somebody's account at the provider to a browser's; returns the identity."""
+    lab.provider.sign_in_as(subject, **claims)
+    begun = browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
+    answer = browser.get(lab.provider.authorize(begun["url"]))
+    assert (answer.status, answer.headers["location"]) == (303, "/account")
+    return _identities(browser)[-1]
+
+
+def _identities(browser: Browser) -> list[Any]:
+    listed: list[Any] = browser.get("/api/v1/me/identities").ok()
+    return listed
+
+
+def _unlink(browser: Browser, identity: Any) -> Any:
+    return browser.call("DELETE", f"/api/v1/me/identities/{identity['id']}")
+
+
+def test_an_account_says_what_is_known_of_one(start_api: StartApi) -> None:
+    eth = Affiliation(name="ETH", domains=("lab.example",))
+    api = start_api(affiliations=[eth])
+    made = account(api)
+    told_of = made.browser.get("/api/v1/me/account").ok()
+    assert told_of["person"] == {"id": made.id, "name": "Ada"}
+    (address,) = told_of["addresses"]
+    assert (address["email"], address["verified_by"]) == (made.email, "invitation")
+    assert (told_of["affiliations"], told_of["has_password"]) == (["ETH"], True)
+    without = signed_in(api)
+    assert without.browser.get("/api/v1/me/account").ok()["has_password"] is False
+    robot = people.token(api, made.id, [Scope.read])
+    api.as_(robot.secret).get("/me/account").refused(403, "scope_missing")
+
+
+def test_a_provider_is_unlinked_where_a_password_stays_and_nothing_else_ends(lab: Lab) -> None:
+    made = account(lab.api)
+    linked = _link(lab, made.browser, f"ada {made.id}", email=made.email, email_verified=True)
+    assert (linked["provider"], linked["is_last"]) == ("The Lab", False)
+    token = people.token(lab.api, made.id)
+    by_provider = lab.sign_in(f"ada {made.id}", **known_as(made.email))
+    assert by_provider.me()["person"]["id"] == made.id
+    _unlink(made.browser, linked).ok(204)
+    assert _identities(made.browser) == []
+    assert by_provider.is_signed_in(), "sessions stay"
+    assert lab.api.as_(token.secret).get("/me").ok()["emails"] == [made.email]
+    (event,) = [each for each in lab.api.events(linked["id"]) if each["operation"] == "identity.unlink"]
+    assert (event["noun_name"], event["before"]["email"]) == ("The Lab", made.email)
+    sign_in(Browser(lab.api), made.email)
+    _unlink(made.browser, linked).refused(404, "not_found")
+
+
+def test_what_was_unlinked_is_not_linked_again_by_an_address_but_by_who_is_signed_in(lab: Lab) -> None:
+    made = account(lab.api)
+    subject = f"back {made.id}"
+    linked = _link(lab, made.browser, subject, **known_as(made.email))
+    _unlink(made.browser, linked).ok(204)
+    assert "was unlinked here" in lab.refuses(subject, **known_as(made.email))
+    assert "as somebody else" in lab.refuses(f"other {subject}", **known_as(made.email))
+    assert _identities(made.browser) == []
+    again = _link(lab, made.browser, subject, **known_as(made.email))
+    assert again["id"] == linked["id"]
+    assert lab.sign_in(subject, **known_as(made.email)).me()["person"]["id"] == made.id
+    # Somebody who shows that it is theirs may have it too, once nobody else has.
+    _unlink(made.browser, again).ok(204)
+    other = account(lab.api)
+    _link(lab, other.browser, subject, email=any_email())
+    assert lab.sign_in(subject).me()["person"]["id"] == other.id
+
+
+def test_the_last_way_in_stays(lab: Lab) -> None:
+    browser = lab.sign_in("only", **known_as(any_email()))
+    (only,) = _identities(browser)
+    assert only["is_last"] is True
+    assert "only way left" in _unlink(browser, only).refused(409, "last_way_in")["detail"]
+    second = _link(lab, browser, "only's second")
+    assert [each["is_last"] for each in _identities(browser)] == [False, False]
+    _unlink(browser, only).ok(204)
+    _unlink(browser, second).refused(409, "last_way_in")
+    assert lab.sign_in("only's second").me()["person"]["id"] == browser.me()["person"]["id"]
+
+
+def test_of_two_at_once_one_stays(lab: Lab) -> None:
+    browser = lab.sign_in("hasty twin", **known_as(any_email()))
+    _link(lab, browser, "hasty twin's other")
+    with ThreadPoolExecutor(2) as pool:
+        answers = [*pool.map(lambda each: _unlink(browser.other_tab(), each).status, _identities(browser))]
+    assert sorted(answers) == [204, 409]
+    assert len(_identities(browser)) == 1
+
+
+def test_a_password_that_is_not_taken_here_is_no_way_in(start_api: StartApi, lab: Lab) -> None:
+    settings = provider_settings("lab", lab.provider.url)
+    here = Lab(start_api(oidc_providers=[settings], local_accounts=False), lab.provider)
+    email = any_email()
+    browser = here.sign_in("switched", **known_as(email))
+    person_id = browser.me()["person"]["id"]
+    here.api.sql("INSERT INTO password (person_id, hash) VALUES (%s, '$argon2id$x') RETURNING person_id", person_id)
+    _unlink(browser, _identities(browser)[0]).refused(409, "last_way_in")
+    assert browser.get("/api/v1/me/account").ok()["has_password"] is False
+
+
+def test_a_provider_that_is_gone_is_no_way_in(lab: Lab) -> None:
+    browser = lab.sign_in("remains", **known_as(any_email()))
+    lab.api.sql(
+        "INSERT INTO identity (id, person_id, issuer, subject)"
+        " VALUES (gen_random_uuid(), %s, 'https://gone.example', 'x') RETURNING id",
+        browser.me()["person"]["id"],
+    )
+    known, gone = _identities(browser)
+    assert (gone["provider"], gone["is_last"], known["is_last"]) == (None, False, True)
+    _unlink(browser, known).refused(409, "last_way_in")
+    _unlink(browser, gone).ok(204)
+
+
+def test_the_owner_s_link_is_a_way_in(lab: Lab) -> None:
+    owner = lab.api.get("/me").ok()["person"]["id"]
+    assert owner == str(OWNER_ID)
+    link = lab.api.post("/auth/owner-link").ok()["url"]
+    browser = Browser(lab.api)
+    browser.post("/auth/link", {"code": link.partition("#")[2]}).ok()
+    _unlink(browser, _link(lab, browser, "the owner")).ok(204)
+
+
+def test_nobody_unlinks_what_is_somebody_else_s(lab: Lab) -> None:
+    browser = lab.sign_in("theirs", **known_as(any_email()))
+    other = account(lab.api, name="Bob")
+    _link(lab, other.browser, f"bob {other.id}")
+    _unlink(other.browser, _identities(browser)[0]).refused(404, "not_found")
+    lab.sign_in("theirs")
+    # Nor is it linked to them while it is.
+    lab.provider.sign_in_as("theirs")
+    begun = other.browser.post("/auth/providers/lab/link", {}).ok()
+    assert "somebody else" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
+
+
+def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = account(lab.api)
+    linked = _link(lab, made.browser, f"terminal {made.id}", email="x@lab.example")
+    token = people.token(lab.api, made.id).secret
+    monkeypatch.setenv("KLEINKRAM_URL", lab.api.url)
+    monkeypatch.setenv("KLEINKRAM_TOKEN", token)
+
+    def klein(*arguments: str) -> str:
+        ran = CliRunner().invoke(app, ["account", *arguments])
+        if ran.exception is not None:
+            raise ran.exception
+        return ran.stdout
+
+    shown = klein("info")
+    assert made.email in shown
+    assert "The Lab" in shown
+    assert json.loads(klein("info", "--json"))["identities"][0]["id"] == linked["id"]
+    assert json.loads(klein("unlink", "the lab", "--yes", "--json")) == {"unlinked": linked["id"]}
+    with pytest.raises(NotFound):
+        klein("unlink", "the lab", "--yes")
+    lab.api.sql("DELETE FROM password WHERE person_id = %s RETURNING person_id", made.id)
+    again = _link(lab, made.browser, f"terminal {made.id}")
+    with connect(lab.api.url, token) as client:
+        assert client.me.account().has_password is False
+        assert [each.is_last for each in client.me.identities()] == [True]
+        with pytest.raises(LastWayIn):
+            client.me.unlink_identity(again["id"])
+
+
+def test_a_changed_password_is_a_way_in_too(lab: Lab) -> None:
+    made = account(lab.api)
+    linked = _link(lab, made.browser, f"changed {made.id}")
+    new = "staple battery horse"
+    made.browser.post("/auth/password/change", {"old_password": PASSWORD, "new_password": new}).ok(204)
+    _unlink(made.browser, linked).ok(204)
+    sign_in(Browser(lab.api), made.email, new)

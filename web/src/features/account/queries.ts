@@ -1,0 +1,53 @@
+// What the page of one's account asks the server, and what it has it do.
+import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/keys";
+import type { components } from "@/api/schema";
+
+type Schemas = components["schemas"];
+export type Account = Schemas["AccountRead"];
+export type Identity = Schemas["IdentityRead"];
+
+/** The page itself, where a provider sends one back to. */
+const HERE = "/account";
+
+export function useAccount() {
+  return useQuery({ queryKey: keys.account, queryFn: ({ signal }) => call(api.GET("/api/v1/me/account", { signal })) });
+}
+
+export function useIdentities() {
+  return useQuery({ queryKey: keys.identities, queryFn: ({ signal }) => call(api.GET("/api/v1/me/identities", { signal })) });
+}
+
+export function useWays() {
+  return useQuery({ queryKey: keys.ways, queryFn: ({ signal }) => call(api.GET("/api/v1/auth/ways", { signal })), staleTime: Infinity });
+}
+
+export function useUnlink() {
+  const queries = useQueryClient();
+  return async (identity: Identity) => {
+    try {
+      await call(api.DELETE("/api/v1/me/identities/{identity_id}", { params: { path: { identity_id: identity.id } } }));
+    } finally {
+      void queries.invalidateQueries({ queryKey: keys.identities });
+    }
+  };
+}
+
+export function useLink() {
+  return useMutation({
+    mutationFn: async (provider: string) => {
+      const begun = await call(api.POST("/api/v1/auth/providers/{name}/link", { params: { path: { name: provider } }, body: { return_to: HERE } }));
+      globalThis.location.assign(begun.url);
+    },
+  });
+}
+
+export function useChangePassword() {
+  const queries = useQueryClient();
+  return useMutation({
+    mutationFn: (body: Schemas["PasswordChange"]) => call(api.POST("/api/v1/auth/password/change", { body })),
+    onSuccess: () => void queries.invalidateQueries({ queryKey: keys.sessions }),
+    meta: { showsItself: true },
+  });
+}

@@ -1,0 +1,51 @@
+// The words of the page of one's own account.
+import { counted } from "@/components/format";
+
+export const texts = {
+  title: "Account",
+  lead: (name: string) => `Signed in as ${name}`,
+  about: "You",
+  name: "Name",
+  addresses: (count: number) => (count === 1 ? "E-mail address" : "E-mail addresses"),
+  noAddress: "None is known to be yours. What was granted to an address reaches you once a provider or an invitation vouches for it.",
+  by: (who: string) => `by the word of ${who}`,
+  byInvitation: "by your invitation",
+  byClaim: "as you claimed this server",
+  affiliations: (count: number) => (count === 1 ? "Affiliation" : "Affiliations"),
+  since: "Here since",
+
+  ways: "How you sign in",
+  waysWhy: "One way always stays. Sessions, tokens and addresses are as they were when a provider is unlinked.",
+  password: "Password",
+  passwordWhy: "With one of your addresses",
+  noPassword: "No password. An admin can give you a link by which you choose one.",
+  change: "Change password",
+  linked: "linked",
+  used: "last used",
+  gone: "This server signs nobody in by it any more.",
+  last: "The only way left to sign in: it stays.",
+  unlink: "Unlink",
+  unlinkTitle: (provider: string) => `Sign in by ${provider} no more?`,
+  unlinkWhy: (provider: string) =>
+    `What ${provider} says opens your account no more, until you link it again. Your browsers and tokens stay signed in: end those apart.`,
+  unlinked: (provider: string) => `${provider} is unlinked.`,
+  link: (provider: string) => `Link ${provider}`,
+  linkTitle: "Link another way to sign in",
+
+  changeTitle: "Change your password",
+  old: "Password until now",
+  new: "New password",
+  newHint: (least: number) => `At least ${counted(least, "character")}.`,
+  tooShort: (least: number) => `It takes at least ${counted(least, "character")}.`,
+  wrong: "This is not your password.",
+  changeWhy: "Your other browsers are signed out. Tokens stay.",
+  changed: "Your password was changed, and your other browsers were signed out.",
+
+  signedIn: "Where you are signed in",
+  sessions: "Browsers",
+  sessionsWhy: "Those that are signed in as you",
+  tokens: "Tokens",
+  tokensWhy: "For programs, robots and runners",
+  signOut: "Sign out",
+  everywhere: "Sign out everywhere",
+} as const;
