@@ -59,6 +59,7 @@ export function reaches(right: (typeof ALL_RIGHTS)[number] | undefined, needed: 
   return right !== undefined && ALL_RIGHTS.indexOf(right) >= ALL_RIGHTS.indexOf(needed);
 }
 
+/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
 export function useFileChanges(fileId: string) {
   const queries = useQueryClient();
   const path = { file_id: fileId };
@@ -86,8 +87,7 @@ export function useFileChanges(fileId: string) {
   });
   const remove = useMutation({
     mutationFn: () => call(api.DELETE("/api/v1/files/{file_id}", { params: { path } })),
-    onSuccess: old,
     meta: { showsItself: true },
   });
-  return { update, prove, remove, restore };
+  return { update, prove, remove, restore, old };
 }

@@ -37,7 +37,6 @@ export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
   topics: (id: string) => [...keys.mission(id), "topics"],
   odd: (id: string) => [...keys.mission(id), "odd"],
-  shares: (id: string) => keys.shares({ mission: id }),
 } as const;
 
 /** Asks for page after page until there is no next one. */
@@ -129,6 +128,7 @@ export function useOddFiles(missionId: string) {
   });
 }
 
+/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
 export function useMissionChanges(missionId: string) {
   const queries = useQueryClient();
   const path = { mission_id: missionId };
@@ -150,12 +150,11 @@ export function useMissionChanges(missionId: string) {
   });
   const remove = useMutation({
     mutationFn: () => call(api.DELETE("/api/v1/missions/{mission_id}", { params: { path } })),
-    onSuccess: old,
     meta: { showsItself: true },
   });
   const restore = useMutation({
     mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "mission", noun_id: missionId } } })),
     onSuccess: old,
   });
-  return { update, remove, restore };
+  return { update, remove, restore, old };
 }

@@ -82,6 +82,7 @@ export function useCreateProject() {
   });
 }
 
+/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
 export function useProjectChanges(projectId: string) {
   const queries = useQueryClient();
   const path = { project_id: projectId };
@@ -100,12 +101,11 @@ export function useProjectChanges(projectId: string) {
   });
   const remove = useMutation({
     mutationFn: () => call(api.DELETE("/api/v1/projects/{project_id}", { params: { path } })),
-    onSuccess: old,
     meta: { showsItself: true },
   });
   const restore = useMutation({
     mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "project", noun_id: projectId } } })),
     onSuccess: old,
   });
-  return { update, remove, restore };
+  return { update, remove, restore, old };
 }

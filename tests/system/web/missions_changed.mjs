@@ -1,0 +1,155 @@
+// What people change: they go on with an upload that another machine left, call a mission something else, write notes,
+// share a file and end the link, move a file, have it proven, delete things and take that back; and what somebody finds
+// who has nothing yet. Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser,
+// a link that signs in, the server's address, an invitation for somebody new, the folder that is half uploaded, and as
+// JSON the ids of missions and files, where pictures go.
+import { openBrowser } from "./browsing.mjs";
+
+const [web, executablePath, link, address, invitation, half, told, pictures] = process.argv.slice(2);
+const { ridge, night, drive } = JSON.parse(told);
+const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+let isMeantToFail = false;
+const { page } = await somebody(() => isMeantToFail);
+await page.goto(link);
+await page.waitForURL((url) => url.pathname === "/");
+const toast = (text) => page.getByRole("log").locator("> div").filter({ hasText: text }).last();
+const dialog = (name) => page.getByRole("dialog", { name });
+
+// An upload from another machine that has not ended: home names it, and leads to where it goes on.
+const unfinished = page.locator("[data-unfinished]");
+await unfinished.waitFor();
+seen.unfinished = await unfinished.innerText();
+await look(page, "home-unfinished");
+await unfinished.getByRole("link", { name: "Go on" }).click();
+await page.waitForURL((url) => url.pathname === "/upload" && url.searchParams.get("mission") === night);
+const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose a folder" }).click()]);
+await chooser.setFiles(half);
+await page.getByLabel("Mission").and(page.locator(`:has(option:checked[value="${night}"])`)).waitFor();
+seen.chosen = await page.locator("form").getByRole("combobox").evaluateAll((boxes) => boxes.map((box) => box.selectedOptions[0].label));
+await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
+await page.locator("[data-phase=over]").waitFor();
+seen.over = await page.locator("[data-phase=over]").innerText();
+await page.getByRole("link", { name: "Home" }).first().click();
+await page.locator("[data-recent] [data-way]").first().waitFor();
+await unfinished.waitFor({ state: "detached" });
+
+// Another name: one that is taken is refused, in words; then one that is not.
+await page.locator("[data-recent] [data-way]").filter({ hasText: "ridge" }).click();
+await page.getByRole("heading", { level: 1, name: "ridge" }).waitFor();
+await page.getByRole("button", { name: "Rename" }).click();
+await dialog("Rename this mission").getByLabel("New name").fill("night");
+isMeantToFail = true;
+await dialog("Rename this mission").getByRole("button", { name: "Save" }).click();
+await dialog("Rename this mission").getByRole("alert").waitFor();
+seen.taken = await dialog("Rename this mission").getByRole("alert").innerText();
+await look(page, "mission-rename-refused");
+isMeantToFail = false;
+await dialog("Rename this mission").getByLabel("New name").fill("north ridge");
+await dialog("Rename this mission").getByRole("button", { name: "Save" }).click();
+await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
+await page.getByRole("button", { name: "Mark as complete" }).click();
+await page.getByRole("button", { name: "No longer complete" }).waitFor();
+
+// Notes: Escape leaves them as they were, Ctrl+Enter keeps them; markup in them is text.
+const notes = page.locator("[data-notes]");
+await notes.getByRole("button", { name: "Add notes" }).click();
+await notes.getByRole("textbox").fill("thought better of");
+await notes.getByRole("textbox").press("Escape");
+await notes.getByText("No notes.").waitFor();
+await notes.getByRole("button", { name: "Add notes" }).click();
+await notes.getByRole("textbox").fill("<img src=x onerror=alert(1)> **kept**\nsecond line");
+await notes.getByRole("textbox").press("Control+Enter");
+await notes.getByText("<img src=x onerror=alert(1)> **kept**").waitFor();
+seen.notesElements = await notes.locator("img, strong").count();
+
+// A link to one file, followed by somebody without an account, and ended.
+await page.getByRole("checkbox", { name: "Select drive.mcap" }).check();
+await page.getByRole("button", { name: "Share these" }).click();
+await dialog("Share by a link").getByLabel("What it is for, or for whom").fill("reviewers");
+await dialog("Share by a link").getByRole("button", { name: "Make the link" }).click();
+await dialog("Share by a link").locator("[data-secret]").waitFor();
+await look(page, "mission-shared");
+const shared = (await page.locator("[data-secret] pre").innerText()).trim();
+await page.getByRole("button", { name: "I have kept it" }).click();
+const { page: stranger } = await somebody(() => isMeantToFail);
+await stranger.goto(shared);
+await stranger.locator("#files tr").first().waitFor();
+seen.shared = await stranger.locator("#files tr").allInnerTexts();
+await page.getByRole("navigation", { name: "Views of the mission" }).getByRole("link", { name: "Access and links" }).click();
+const shares = page.locator("[data-shares]");
+await shares.getByText("reviewers").waitFor();
+seen.link = await shares.getByRole("listitem").innerText();
+await shares.getByRole("button", { name: "End" }).click();
+await dialog("End this link?").getByRole("button", { name: "End" }).click();
+await shares.getByText("ended", { exact: true }).waitFor();
+await look(page, "mission-link-ended");
+isMeantToFail = true;
+await stranger.reload();
+await stranger.locator("#said:not([hidden])").waitFor();
+seen.ended = await stranger.locator("#said").innerText();
+isMeantToFail = false;
+await stranger.close();
+
+// A file: proven anew, moved to another mission, deleted and brought back.
+await page.goto(`${address}/files/${drive}`);
+const proof = page.getByRole("complementary", { name: "About this file" }).getByText(/^Proven/).locator("time");
+const prove = page.getByRole("button", { name: "Prove now" });
+await prove.click();
+await page.waitForFunction(() => [...document.querySelectorAll("aside button")].every((button) => button.ariaDisabled !== "true"));
+await proof.waitFor();
+const before = await proof.getAttribute("datetime");
+await prove.click();
+await page.waitForFunction((old) => [...document.querySelectorAll("aside time")].every((time) => time.dateTime !== old), before);
+seen.proven = { before, after: await proof.getAttribute("datetime") };
+
+await page.getByRole("button", { name: "Move" }).click();
+await dialog("Move to another mission").getByLabel("Search missions by name").fill("nig");
+await dialog("Move to another mission").getByLabel("Mission", { exact: true }).selectOption({ label: "Alps / night" });
+await look(page, "file-move");
+await dialog("Move to another mission").getByRole("button", { name: "Move" }).click();
+await toast("Moved to night.").waitFor();
+await page.getByRole("navigation", { name: "Where this is" }).getByRole("link", { name: "night" }).click();
+await page.waitForURL((url) => url.pathname === `/missions/${night}`);
+await page.getByRole("row").filter({ hasText: "drive.mcap" }).waitFor();
+await page.getByRole("row").filter({ hasText: "drive.mcap" }).getByRole("link").first().click();
+await page.waitForURL((url) => url.pathname === `/files/${drive}`);
+await page.getByRole("button", { name: "Delete" }).click();
+await dialog("Delete this file?").getByRole("button", { name: "Delete" }).click();
+await page.waitForURL((url) => url.pathname === `/missions/${night}`);
+await page.getByRole("row").filter({ hasText: "drive.mcap" }).waitFor({ state: "detached" });
+await toast("drive.mcap is in the trash.").getByRole("button", { name: "Undo" }).click();
+await page.waitForURL((url) => url.pathname === `/files/${drive}`);
+await page.getByRole("heading", { level: 1, name: "drive.mcap" }).waitFor();
+
+// A mission: deleted and brought back at once; deleted again, and put back from the trash.
+async function removeRidge() {
+  await page.goto(`${address}/missions/${ridge}`);
+  await page.getByRole("button", { name: "Delete" }).click();
+  await dialog("Delete this mission?").getByRole("button", { name: "Delete" }).click();
+  await page.waitForURL((url) => url.pathname.startsWith("/projects/"));
+  await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor({ state: "detached" });
+}
+await removeRidge();
+await toast("north ridge is in the trash.").getByRole("button", { name: "Undo" }).click();
+await page.waitForURL((url) => url.pathname === `/missions/${ridge}`);
+await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
+await removeRidge();
+await page.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Trash" }).click();
+await page.getByRole("row").filter({ hasText: "north ridge" }).getByRole("button", { name: /^Put back/ }).click();
+await toast("north ridge is back.").getByRole("button", { name: "Open" }).click();
+await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
+seen.back = await notes.innerText();
+
+// Somebody new, who may see nothing yet: home says what to do.
+const { page: guest } = await somebody(() => isMeantToFail);
+await guest.goto(invitation);
+await guest.getByLabel(/password/i).fill("a long enough password");
+await guest.getByRole("button", { name: "Make my account" }).click();
+await guest.waitForURL((url) => url.pathname === "/");
+await guest.getByText("Nothing has been uploaded yet").waitFor();
+seen.empty = await guest.locator("main").innerText();
+await look(guest, "home-empty");
+await guest.getByRole("link", { name: "Upload a first folder" }).click();
+await guest.waitForURL((url) => url.pathname === "/upload");
+await guest.getByRole("button", { name: "Choose a folder" }).waitFor();
+await tell();

@@ -1,0 +1,66 @@
+"""What people change in a real browser: names, notes, links, places, what is deleted; and where they begin."""
+
+import json
+import random
+import signal
+from pathlib import Path
+
+import pytest
+
+from kleinkram.recordings.sample import generate_mcap
+from tests.acceptance.conftest import wait_until
+from tests.system.behind import sql
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_LARGE_BYTES = 20_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(280)
+def test_missions_changed(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    day, half = tmp_path / "day", tmp_path / "half"
+    day.mkdir()
+    half.mkdir()
+    generate_mcap(day / "drive.mcap", size_bytes=200_000)
+    (day / "notes.txt").write_text("above the snow line")
+    (half / "camera.raw").write_bytes(random.Random(3).randbytes(_LARGE_BYTES))
+    terminal.run("project", "create", "Alps")
+    terminal.run("upload", "-p", "Alps", "-m", "ridge", "--create", f"{day}/", "--wait")
+    begun = terminal.start("upload", "-p", "Alps", "-m", "night", "--create", "--limit-rate", "10M", half)
+    wait_until(lambda: terminal.parts_sent() >= 1, "a part of the upload to be there")
+    begun.send_signal(signal.SIGINT)
+    begun.communicate(timeout=60)
+    # As after a minute, in which the name was held for whoever was sending.
+    assert len(sql(house, "UPDATE upload SET lease_ends_at = now() WHERE state = 'open' RETURNING id")) == 1
+    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    files = {each["path"]: each["id"] for each in terminal.run("file", "list", "--json").json()["items"]}
+    invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
+
+    told = json.dumps({**missions, "drive": files["drive.mcap"]})
+    seen = act("missions_changed.mjs", house, invited["url"], half, told, pictures)
+
+    assert seen["complaints"] == []
+    assert seen["ran"] == [], "markup was run"
+    assert seen["axe"] == []
+    assert seen["wide"] == []
+    assert "Alps / night\nGo on\nhalf/camera.raw" in seen["unfinished"]
+    assert "of 20.0 MB" in seen["unfinished"], "what the store holds of it is told"
+    assert seen["chosen"] == ["Alps", "night"], "the address chose where it goes"
+    assert "The file is there." in seen["over"]
+    terminal.run("verify", "-p", "Alps", "-m", "night", half)
+    assert "night" in seen["taken"]
+    assert seen["notesElements"] == 0
+    assert [row.split()[0] for row in seen["shared"]] == ["drive.mcap"]
+    assert "1 file · until" in seen["link"]
+    assert seen["ended"] == "This link has ended, or was not copied whole."
+    assert seen["proven"]["after"] > seen["proven"]["before"]
+    assert "second line" in seen["back"]
+    assert "klein upload FOLDER/" in seen["empty"]
+    now = {each["path"]: each["mission"]["name"] for each in terminal.run("file", "list", "--json").json()["items"]}
+    assert now == {"drive.mcap": "night", "half/camera.raw": "night", "notes.txt": "north ridge"}
+    told_now = terminal.run("mission", "info", missions["ridge"], "--json").json()["mission"]
+    assert told_now["notes"] == "<img src=x onerror=alert(1)> **kept**\nsecond line"
+    assert told_now["completed_at"] is not None
