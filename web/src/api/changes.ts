@@ -1,7 +1,7 @@
 // What each change on the server makes old here. One stream for the whole app, while somebody looks at it.
 import { onScopeDispose, ref } from "vue";
 import { keys } from "./keys";
-import { useLive } from "./live";
+import { type Live, useLive } from "./live";
 import { useMe } from "./session";
 
 type Key = readonly unknown[];
@@ -46,11 +46,11 @@ export function keysOf(kind: string, data: unknown): readonly Key[] {
 }
 
 /** Keeps what is shown current, for whoever is signed in. A window that nobody sees listens to nothing. */
-export function useChanges(): void {
+export function useChanges(): Live {
   const { me } = useMe();
   const isSeen = ref(document.visibilityState === "visible");
   const look = () => (isSeen.value = document.visibilityState === "visible");
   document.addEventListener("visibilitychange", look);
   onScopeDispose(() => document.removeEventListener("visibilitychange", look));
-  useLive(() => (me.value !== null && isSeen.value ? "/api/v1/events" : null), { kinds: ["change", "refetch"], keysOf });
+  return useLive(() => (me.value !== null && isSeen.value ? "/api/v1/events" : null), { kinds: ["change", "refetch"], keysOf });
 }

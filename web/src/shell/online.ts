@@ -1,19 +1,28 @@
-// Whether the server answers: told from how the latest requests went, of whatever page.
+// Whether the server answers: told from how the latest requests went, of whatever page, and asked where the line broke.
 import { useQueryClient } from "@tanstack/vue-query";
-import { onScopeDispose, readonly, ref, type Ref } from "vue";
+import { onScopeDispose, readonly, ref, type Ref, watch } from "vue";
 import { Problem } from "@/api/problem";
 
 const AGAIN_MS = 5000;
 
 /** Returns whether the server answers. Once it does again, what failed meanwhile is asked for anew. */
-export function useOnline(): Readonly<Ref<boolean>> {
+export function useOnline(isConnected: Readonly<Ref<boolean>>): Readonly<Ref<boolean>> {
   const queries = useQueryClient();
   const isAnswered = ref(true);
   let timer: ReturnType<typeof setInterval> | undefined;
 
+  function away(): void {
+    isAnswered.value = false;
+    timer ??= setInterval(() => void look(), AGAIN_MS);
+  }
+
   async function look(): Promise<void> {
     const answer = await fetch("/health/live").catch(() => null);
-    if (answer?.ok !== true) return;
+    if (answer?.ok !== true) {
+      away();
+      return;
+    }
+    if (isAnswered.value) return;
     clearInterval(timer);
     timer = undefined;
     isAnswered.value = true;
@@ -24,9 +33,9 @@ export function useOnline(): Readonly<Ref<boolean>> {
     if (event.type !== "updated" || event.query.state.fetchFailureCount === 0) return;
     const reason: unknown = event.query.state.fetchFailureReason;
     if (!(reason instanceof Problem) || reason.code !== "unreachable") return;
-    isAnswered.value = false;
-    timer ??= setInterval(() => void look(), AGAIN_MS);
+    away();
   });
+  watch(isConnected, (isNow) => isNow || void look());
   onScopeDispose(() => {
     stop();
     clearInterval(timer);
