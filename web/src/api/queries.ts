@@ -22,7 +22,13 @@ declare module "@tanstack/vue-query" {
 export function openQueries(): QueryClient {
   return new QueryClient({
     defaultOptions: {
-      queries: { staleTime: FRESH_MS, retry: shouldRetry, retryDelay: (failures) => Math.min(8000, 500 * 2 ** failures) },
+      queries: {
+        staleTime: FRESH_MS,
+        retry: shouldRetry,
+        retryDelay: (failures) => Math.min(8000, 500 * 2 ** failures),
+        // An answer is replaced as a whole, never changed: to watch each number in it makes lists slow.
+        shallow: true,
+      },
       mutations: { networkMode: "always" },
     },
     mutationCache: new MutationCache({
