@@ -9,7 +9,7 @@ APP := src/kleinkram/server/web/built/index.html
 APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o -type f ! -name '*.test.ts' -print)
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
-.PHONY: setup demo story test test-all soak check bench dev requirements generated clean
+.PHONY: setup demo story test test-all soak check bench pictures dev requirements generated clean
 
 setup: $(STAMP) $(APP)
 
@@ -61,6 +61,12 @@ check: setup
 
 bench: setup
 	@$(BIN)/python -m benchmarks
+
+# What README and tour show, taken anew of the app as it is now.
+pictures: setup
+	@$(BIN)/python -m pytest -q tests/system/web/test_every_page_pictures.py
+	@mkdir -p docs/pictures
+	@for name in mission search look; do cp output/web/readme-$$name.png docs/pictures/$$name.png; done
 
 dev: setup
 	@$(BIN)/klein up --data-dir .demo/dev

@@ -37,7 +37,9 @@ await page.locator("[data-phase=over]").waitFor().catch(async (error) => {
 seen.over = await page.locator("[data-phase]").first().innerText();
 await page.locator("[data-phase]").getByRole("link", { name: "far" }).click();
 await page.getByRole("link", { name: "drive.mcap" }).first().click();
-await page.locator("[data-log-time]").waitFor();
+await page.locator("[data-log-time]").waitFor().catch(async (error) => {
+  throw new Error(await page.locator("main").innerText(), { cause: error });
+});
 await page.screenshot({ path: `${pictures}/lasting-far.png` });
 const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download" }).or(page.getByRole("link", { name: "Download" })).first().click()]);
 seen.sha256 = createHash("sha256").update(await readFile(await download.path())).digest("hex");

@@ -34,7 +34,7 @@ def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path
     terminal.run("project", "create", "alpine", "-d", "Walks above the snow line", "--fields", tmp_path / "fields.yaml")
     for seed, mission in enumerate(_MISSIONS):
         _make(terminal, tmp_path / mission, seed + 1)
-    mission = terminal.run("mission", "info", "ridge-traverse", "-p", "alpine", "--json").json()["id"]
+    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
     place = ("-p", "alpine", "-m", "ridge-traverse")
 
     def files() -> dict[str, str]:
@@ -45,7 +45,7 @@ def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path
 
     wait_until(lambda: files() != {}, "the recordings to be read")
     terminal.run("file", "update", "drive.mcap", *place, "--label", "icra-27")
-    act("every_page_pictures.mjs", house, pictures, mission, files()["drive.mcap"], _QUERY)
+    act("every_page_pictures.mjs", house, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
     for name in ("mission", "search", "look"):
         picture = pictures / f"readme-{name}.png"
         assert 10_000 < picture.stat().st_size < _MOST_BYTES, name
