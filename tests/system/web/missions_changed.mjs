@@ -24,6 +24,7 @@ await unfinished.getByRole("link", { name: "Go on" }).click();
 await page.waitForURL((url) => url.pathname === "/upload" && url.searchParams.get("mission") === night);
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose a folder" }).click()]);
 await chooser.setFiles(half);
+await page.getByRole("radio", { checked: true }).and(page.locator("[value=contents]")).waitFor();
 await page.getByLabel("Mission").and(page.locator(`:has(option:checked[value="${night}"])`)).waitFor();
 seen.chosen = await page.locator("form").getByRole("combobox").evaluateAll((boxes) => boxes.map((box) => box.selectedOptions[0].label));
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();

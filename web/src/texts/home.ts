@@ -26,7 +26,7 @@ export const texts = {
   columns: { mission: "Mission", files: "Files", size: "Size", when: "Last arrival" },
 
   uploads: "Your unfinished uploads",
-  uploadsWhy: "Choose the same folder again, and only what is missing is sent.",
+  uploadsWhy: "Choose the same folder again: files that have arrived are not sent again.",
   goOn: "Go on",
   sent: (sent: number | null, whole: number) =>
     sent === null ? formatSize(whole) : `${formatSize(sent)} of ${formatSize(whole)}, ${formatShare(sent, whole)}`,
