@@ -203,7 +203,7 @@ if (asked.has("scroll")) {
   const scrolls = {
     [`a mission of ${places.files} files`]: [places.filesPath, shownRows, openAll],
     [`${places.topics} topics of a mission`]: [`${places.manyPath}?tab=topics`, TOPICS],
-    [`${places.found} files of a search`]: ["/search", shownRows],
+    [`${places.found} files of a search`]: ["/search", [...shownRows, { css: "[data-facets] li" }]],
   };
   result.scrolls = {};
   for (const [name, scroll] of Object.entries(scrolls)) result.scrolls[name] = await times(places.times, () => scrolled(...scroll));

@@ -45,6 +45,11 @@ INSERT INTO topic (blob_id, name, message_type, schema_name, schema_encoding, me
   LATERAL (SELECT (ARRAY['sensor_msgs/msg/Imu', 'nav_msgs/msg/Odometry', 'std_msgs/msg/Float64'])
     [1 + n %% 3] AS kind) of
 """
+# How many of the tables that were filled the database has not looked at yet.
+_UNSEEN = """
+SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND relname IN
+  ('project', 'mission', 'file', 'blob', 'topic')
+"""
 
 
 def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.UUID]:
@@ -74,6 +79,10 @@ def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.
                 database.execute(_FILES, {**of_these, **bounds})
         for number in range(RECORDINGS):
             _add_topics(database, number)
+    # As in any database that has stood for a minute: the serving role cannot ask for it, so it is waited for.
+    with psycopg.connect(database_url, autocommit=True) as database:
+        while database.execute(_UNSEEN).fetchone() != (0,):
+            time.sleep(1)
     return project, many, files
 
 
