@@ -3,7 +3,7 @@ import { counted, formatCount, formatDuration, formatSize } from "@/components/f
 
 export const texts = {
   projects: "Projects",
-  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", problems: "Problems", access: "Access and links", activity: "Activity" },
+  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", problems: "Problems", access: "Access and links" },
   completed: "Complete",
   completedWhy: "Somebody said that all of it has been uploaded.",
   pending: (files: number) => `${counted(files, "file")} not read yet`,

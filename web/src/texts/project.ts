@@ -63,8 +63,10 @@ export const texts = {
   mission: {
     title: "New mission",
     name: "Name",
+    nameHint: "Such as a date and a place: 2026-05-01 Grimsel.",
+    nameMissing: "A mission needs a name.",
+    notes: "Notes",
     make: "Make the mission",
-    prefilled: (name: string) => `Filled in as for ${name}.`,
   },
 
   stats: {

@@ -1,0 +1,103 @@
+// One's own account and forms: a password is changed, a provider unlinked, a mission made whose form says what is refused,
+// and an admin reads why a job failed. Prints as JSON what was seen. Arguments: the folder with playwright-core and
+// axe-core, the browser, a link that signs the owner in, the server's address, the address and the password of somebody
+// with a provider, the id of a project, where pictures go.
+import { openBrowser } from "./browsing.mjs";
+
+const [web, executablePath, link, address, email, password, project, pictures] = process.argv.slice(2);
+const NEW_PASSWORD = "another that is long enough";
+const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+let mayRefuse = false;
+
+/** What stands beside a field as wrong with it. */
+async function wrongWith(page, label) {
+  const field = page.getByRole("dialog").getByLabel(label).first();
+  await field.and(page.locator("[aria-invalid='true']")).waitFor();
+  const id = (await field.getAttribute("aria-describedby")).split(" ").find((each) => each.endsWith("-error"));
+  return page.locator(`[id="${id}"]`).innerText();
+}
+
+async function signIn(page, withPassword) {
+  await page.goto(`${address}/sign-in?return_to=/account`);
+  await page.getByLabel("E-mail address").fill(email);
+  await page.getByLabel("Password").fill(withPassword);
+  await page.getByRole("button", { name: "Sign in", exact: true }).click();
+  await page.waitForURL((url) => url.pathname === "/account");
+  await page.getByText("Signed in as Ada").waitFor();
+}
+
+// Signed in twice; a password is changed in the one, which ends the other.
+const { page: ada } = await somebody(() => mayRefuse);
+const { page: other, context: elsewhere } = await somebody(() => true);
+await signIn(other, password);
+const asOther = async () => (await elsewhere.request.get(`${address}/api/v1/me`)).status();
+await signIn(ada, password);
+await ada.getByText("https://gone.example").waitFor();
+await look(ada, "account");
+seen.account = await ada.getByRole("main").innerText();
+seen.before = await asOther();
+await other.close();
+await ada.getByRole("button", { name: "Change password" }).click();
+const dialog = ada.getByRole("dialog");
+await dialog.getByLabel("Password until now").fill("not that one");
+await dialog.getByLabel("New password").fill("short");
+await dialog.getByRole("button", { name: "Change password" }).click();
+seen.tooShort = await wrongWith(ada, "New password");
+await dialog.getByLabel("New password").fill(NEW_PASSWORD);
+mayRefuse = true;
+await dialog.getByRole("button", { name: "Change password" }).click();
+seen.wrongPassword = await wrongWith(ada, "Password until now");
+mayRefuse = false;
+await look(ada, "account-password");
+await dialog.getByLabel("Password until now").fill(password);
+await dialog.getByRole("button", { name: "Change password" }).click();
+await ada.getByText("Your password was changed").first().waitFor();
+seen.after = await asOther();
+
+// A provider is unlinked; the account stays open to the new password.
+await ada.getByRole("button", { name: "Unlink https://gone.example" }).click();
+await look(ada, "account-unlink");
+await dialog.getByRole("button", { name: "Unlink" }).click();
+await ada.getByText("https://gone.example is unlinked.").first().waitFor();
+await ada.locator("[data-ways] li").nth(1).waitFor({ state: "detached" });
+await ada.getByRole("button", { name: "Sign out", exact: true }).click();
+await ada.waitForURL((url) => url.pathname === "/sign-in");
+await signIn(ada, NEW_PASSWORD);
+await ada.getByRole("button", { name: "Sign out everywhere" }).click();
+await dialog.getByRole("button", { name: "Sign out everywhere" }).click();
+await ada.waitForURL((url) => url.pathname === "/sign-in");
+await ada.close();
+
+// A mission, whose form says beside each field what is wrong with it: by itself, then by the server's word.
+const { page: owner } = await somebody(() => mayRefuse);
+await owner.goto(link);
+await owner.waitForURL((url) => url.pathname === "/");
+await owner.goto(`${address}/projects/${project}`);
+await owner.getByRole("button", { name: "New mission" }).click();
+const form = owner.getByRole("dialog");
+const make = form.getByRole("button", { name: "Make the mission" });
+await make.click();
+seen.nameMissing = await wrongWith(owner, /^Name · required/);
+seen.robotMissing = await wrongWith(owner, /^robot/);
+await form.getByLabel(/^Name · required/).fill("TAKEN");
+await form.getByLabel(/^robot/).selectOption("spot");
+await form.getByLabel(/^operator/).fill("1815");
+mayRefuse = true;
+await make.click();
+seen.operatorWrong = await wrongWith(owner, /^operator/);
+await look(owner, "mission-new");
+await form.getByLabel(/^operator/).fill("Ada");
+await make.click();
+seen.nameTaken = await wrongWith(owner, /^Name · required/);
+mayRefuse = false;
+await form.getByLabel(/^Name · required/).fill("ridge");
+await make.click();
+await owner.waitForURL((url) => url.pathname.startsWith("/missions/"));
+await owner.getByRole("heading", { name: "ridge" }).waitFor();
+seen.mission = await owner.locator("[data-metadata]").innerText();
+
+// Why a job failed.
+await owner.goto(`${address}/admin?tab=jobs`);
+await owner.getByText("ValueError: badly formed").waitFor();
+await look(owner, "admin-jobs-failed");
+await tell();

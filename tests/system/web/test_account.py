@@ -1,0 +1,74 @@
+"""One's own account, a mission made by a form, and why a job failed, in a real browser."""
+
+import json
+from pathlib import Path
+
+import pytest
+import urllib3
+
+from kleinkram.server.jobs.context import ATTEMPTS
+from tests.system.behind import sql
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_EMAIL, _PASSWORD = "ada@lab.example", "correct horse battery"
+# What Rust reads and a browser does not: the server alone can say that a value does not match it.
+_FIELDS = """
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true}
+  - {name: operator, type: string, pattern: "(?i)[a-z]+", required: true}
+"""
+
+
+def _join(house: House) -> str:
+    """Make somebody's account by an invitation, and return whose it is."""
+    link = house.terminal.run("person", "invite", _EMAIL, "--name", "Ada").out.strip()
+    url = house.told()["url"]
+    accepted = {"code": link.partition("#")[2], "name": "Ada", "password": _PASSWORD}
+    headers = {"Content-Type": "application/json", "Origin": url}
+    answer = urllib3.request("POST", f"{url}/api/v1/auth/invitation", body=json.dumps(accepted), headers=headers)
+    assert answer.status == 200, answer.data
+    joined: str = answer.json()["person"]["id"]
+    return joined
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(280)
+def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    house.start()
+    terminal = house.terminal
+    # As the worker finds one that was tried as often as it may be: it fails once more, and is given up.
+    sql(
+        house,
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, args)"
+        " VALUES ('default', 'summarise_blob', %s, '{\"ref\": \"no id\"}') RETURNING id",
+        ATTEMPTS,
+    )
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    project = terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml", "--json").json()["id"]
+    (tmp_path / "taken.yaml").write_text("robot: spot\noperator: ada\n")
+    terminal.run("mission", "create", "taken", "-p", "Alps", "--metadata", tmp_path / "taken.yaml")
+    ada = _join(house)
+    sql(
+        house,
+        "INSERT INTO identity (id, person_id, issuer, subject, email)"
+        " VALUES (gen_random_uuid(), %s, 'https://gone.example', 'ada', 'ada@gone.example') RETURNING id",
+        ada,
+    )
+    seen = act("account.mjs", house, _EMAIL, _PASSWORD, project, pictures)
+
+    assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
+    assert "ada@lab.example by your invitation" in seen["account"]
+    assert "This server signs nobody in by it any more." in seen["account"]
+    assert seen["tooShort"] == "It takes at least 10 characters."
+    assert seen["wrongPassword"] == "This is not your password."
+    assert (seen["before"], seen["after"]) == (200, 401)
+    assert sql(house, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
+    assert seen["nameMissing"] == "A mission needs a name."
+    assert seen["robotMissing"] == "This is required."
+    assert "[a-z]+" in seen["operatorWrong"]
+    assert "already" in seen["nameTaken"]
+    assert "spot" in seen["mission"]
+    assert "Ada" in seen["mission"]
+    made = {each["name"]: each["metadata"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    assert made["ridge"] == {"robot": "spot", "operator": "Ada"}
