@@ -107,6 +107,7 @@ def test_the_second_time_it_is_the_same_account(place: Place, chromium: Chromium
     sign_in(place, chromium, "grace")
     chromium.do("fresh")
     sign_in(place, chromium, "grace")
+    chromium.see("The only way left to sign in: it stays.")
     found = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
     assert [each["noun_name"] for each in found].count("grace") == 1
 
@@ -197,10 +198,18 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.see("Authorize")
     chromium.click("button[type=submit]")
     chromium.arrive("/account")
+    chromium.see("linked@")
     chromium.do("fresh")
     go_to_provider(place, chromium, "linked")
     chromium.click("button[type=submit]")
     chromium.see("Signed in as Some One")
+    chromium.click("[data-ways] [aria-label='Unlink The Lab']")
+    chromium.click("dialog[open] [type=submit]")
+    chromium.see("The Lab is unlinked.")
+    chromium.do("fresh")
+    go_to_provider(place, chromium, "linked")
+    chromium.click("button[type=submit]")
+    chromium.see("was unlinked here")
 
 
 def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> None:
