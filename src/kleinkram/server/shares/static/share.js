@@ -58,7 +58,7 @@ async function show() {
   const shown = await ask("GET", "/share");
   const what = `${shown.file_count} ${shown.file_count === 1 ? "file" : "files"}, ${size(shown.size_bytes)}`;
   document.querySelector("h1").textContent = `${shown.mission.project.name} / ${shown.mission.name}`;
-  document.getElementById("what").textContent = `${what}; until ${new Date(shown.expires_at).toLocaleString()}.`;
+  document.getElementById("what").textContent = `${what}; until ${new Date(shown.expires_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })}.`;
   await showMore(null);
 }
 
