@@ -44,8 +44,8 @@ def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> Non
     said.write_text('robot: anymal\noperator: ada\nplace: "<svg onload=alert(3)>"\n')
     day = tmp_path / "day"
     day.mkdir()
-    generate_mcap(day / "drive.mcap", duration_s=12, faults=Faults(gap=TopicGap("/imu/data", 3, 4)))
-    generate_bag(day / "cut.bag", duration_s=10, faults=Faults(truncate_to=0.6))
+    generate_mcap(day / "drive.mcap", duration_s=5, faults=Faults(gap=TopicGap("/imu/data", 2, 3)))
+    generate_bag(day / "cut.bag", duration_s=4, faults=Faults(truncate_to=0.6))
     (day / "<a href=x>.txt").write_text("named by somebody who tries")
     many = tmp_path / "many"
     (many / "scan_00").mkdir(parents=True)
