@@ -34,7 +34,7 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
   FROM generate_series(%(first)s::int, %(last)s::int) n
   JOIN blob ON blob.key = %(name)s || n,
   LATERAL (SELECT coalesce('run_' || lpad((n %% nullif(%(folders)s, 0))::text, 2, '0') || '/', '') ||
-    'drive_' || lpad(n::text, 6, '0') || CASE WHEN blob.format IS NULL THEN '.txt' ELSE '.mcap' END AS path) named
+    lpad(n::text, 6, '0') || '_drive' || CASE WHEN blob.format IS NULL THEN '.txt' ELSE '.mcap' END AS path) named
 """
 _TOPICS = """
 INSERT INTO topic (blob_id, name, message_type, schema_name, schema_encoding, message_encoding, count, first_ns,
