@@ -53,6 +53,7 @@ WRITES: dict[str, set[str]] = {
     "create_share": {"share.create"},
     "revoke_share": {"share.revoke"},
     "end_session": {"session.revoke"},
+    "unlink_identity": {"identity.unlink"},
     "end_all_sessions": {"[session.revoke]"},
     "change_password": {"[password.change]"},
     "link_provider": {"[identity.link]"},
