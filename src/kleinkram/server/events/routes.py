@@ -29,7 +29,7 @@ class EventsQuery(BaseModel):
     "",
     operation_id="watch_events",
     response_class=StreamingResponse,
-    responses={200: {"description": "Server-sent events.", "content": {_EVENT_STREAM: {"schema": {"type": "string"}}}}},
+    responses={200: {"description": "Server-sent events, as the text of a stream.", "content": {_EVENT_STREAM: {}}}},
 )
 async def watch_events(
     query: Annotated[EventsQuery, Query()],
