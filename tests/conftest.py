@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
 
 RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).parents[2] / "shared" / "recordings")
+
+# Run in the background or under nohup, tests would hand on to what they start that these are ignored.
+for _sign in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(_sign) is signal.SIG_IGN:
+        signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")
