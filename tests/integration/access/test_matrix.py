@@ -1,7 +1,7 @@
 """The matrix: every operation, by everybody, at every level on the project and on the mission."""
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -18,6 +18,8 @@ from tests.integration.conftest import StartApi
 _MEMBERS, _PLACED, _UNPLACED = 8, 14, 5
 # The places that somebody else is in, in the short round.
 _PLACES_EACH = 4
+# In the long round everybody asks, the plain member in all places, others in so many of theirs; in the longest, in all.
+_LONG_PLACES_EACH = 14
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +93,28 @@ def test_operation(world: World, operation: str) -> None:
     assert [each for each in found if each] == []
 
 
-@pytest.mark.slow
+def _many(world: World, operation: str) -> Sequence[Asker]:
+    """Return all kinds of those who ask; the places from which they do differ between operations."""
+    rng = random.Random(operation)
+    chosen = []
+    for carrier in (*PLACED, *UNPLACED):
+        those = [by for by in world.askers if by.carrier is carrier]
+        chosen += those if carrier is MEMBER else rng.sample(those, min(len(those), _LONG_PLACES_EACH))
+    return chosen
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("operation", sorted(CALLERS))
-def test_operation_in_full(whole_world: World, operation: str) -> None:
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        pytest.param(_many, id="everybody", marks=pytest.mark.slow),
+        pytest.param(lambda world, _: world.askers, id="everybody-everywhere", marks=pytest.mark.soak),
+    ],
+)
+def test_operation_in_full(whole_world: World, operation: str, chosen: Callable[[World, str], Sequence[Asker]]) -> None:
     """Each operation answers everybody as the rule says, wherever they are."""
-    askers = whole_world.askers
+    askers = chosen(whole_world, operation)
     found = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in askers]
     assert [each for each in found if each] == []
 
