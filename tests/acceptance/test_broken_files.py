@@ -3,6 +3,8 @@
 import shutil
 from pathlib import Path
 
+import pytest
+
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import Terminal
 
@@ -19,6 +21,7 @@ def _day(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_whole_cut_and_broken_recordings_are_told_apart(terminal: Terminal, project: str, tmp_path: Path) -> None:
     place = ["-p", project, "-m", "Day 1"]
     terminal.run("upload", *place, "--create", "--wait", f"{_day(tmp_path / 'day')}/")

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import pytest
+
 from kleinkram.standalone.owner_link import ask_owner_link
 
 from .browser import Browser, line_with, log_in
@@ -54,6 +56,7 @@ def test_signing_in_again_ends_the_token_before(away: Terminal, browser: Browser
     assert [browser.status_of(each["token"]) for each in (old, new)] == [401, 200]
 
 
+@pytest.mark.slow
 def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Terminal, browser: Browser) -> None:
     environment = {**away.environment, "XDG_CONFIG_HOME": str(away.home / "refused")}
     other = replace(away, environment=environment)
@@ -105,6 +108,7 @@ def test_a_file_that_others_can_read_is_refused(away: Terminal, browser: Browser
     assert "owner" in away.run("whoami").out
 
 
+@pytest.mark.slow
 def test_where_the_server_is_away_the_token_is_forgotten_and_it_is_said(away: Terminal) -> None:
     away.run("endpoint", "add", "gone", "http://127.0.0.1:9", stdin="kk_secret\n")
     leaving, coming = away.start("logout"), away.start("login", "http://127.0.0.1:9")
@@ -145,6 +149,7 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     assert ask_owner_link(told["local_url"], "another") is None
 
 
+@pytest.mark.slow
 def test_who_is_invited_gets_an_account_and_is_let_in_further(
     terminal: Terminal, away: Terminal, browser: Browser, project: str
 ) -> None:

@@ -192,6 +192,7 @@ def test_json_stands_alone_on_stdout(terminal: Terminal, project: str, tmp_path:
         assert isinstance(ended.json(), dict), command
 
 
+@pytest.mark.slow
 def test_endpoints_are_chosen_and_say_why(terminal: Terminal) -> None:
     assert terminal.run("endpoint", "--json").json()["source"] == "local"
     terminal.run("endpoint", "add", "lab", "http://127.0.0.1:9/", stdin="secret\n")

@@ -37,6 +37,7 @@ def day(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_robot_that_may_only_upload_to_one_project(
     terminal: Terminal, project: str, day: Path, tmp_path: Path, url: str
 ) -> None:

@@ -39,6 +39,7 @@ def test_an_upload_that_was_killed_sends_only_the_rest(terminal: Terminal, proje
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 
+@pytest.mark.slow
 def test_bytes_that_changed_between_two_runs_are_sent_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 5 * PART)
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--connections", "1"]
@@ -66,6 +67,7 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(terminal: Terminal, project:
     assert "Traceback" not in stopped.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["store", "api"])
 def test_an_upload_survives_a_crash_of_the_other_side(
     terminal: Terminal, instance: Instance, project: str, tmp_path: Path, part: str
@@ -187,6 +189,7 @@ def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, pr
     assert [path.name for path in dest.iterdir()] == ["big.bin"]
 
 
+@pytest.mark.slow
 def test_a_download_leaves_what_is_here(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "a.bin", 1000)
     terminal.run("upload", "-p", project, "-m", "m", "--create", file)
@@ -234,6 +237,7 @@ def test_a_project_deleted_meanwhile_ends_its_uploads(terminal: Terminal, projec
     assert "Traceback" not in ended.err
 
 
+@pytest.mark.slow
 def test_addresses_that_expire_meanwhile_are_asked_for_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 4 * PART)
     slowly = ["--limit-rate", "6MiB", "--connections", "1"]  # longer than the 4 s that an address is good for here

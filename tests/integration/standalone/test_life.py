@@ -54,6 +54,7 @@ def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> Non
     assert not (shared_instance.data_dir / "instance.json").exists()
 
 
+@pytest.mark.slow
 def test_objects_tokens_and_ports_survive_a_restart(shared_instance: Instance) -> None:
     first = shared_instance.up()
     told, token = shared_instance.told, (shared_instance.data_dir / "owner-token").read_text()

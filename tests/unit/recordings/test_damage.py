@@ -162,7 +162,7 @@ def test_undamaged(name: str) -> None:
 
 
 @given(NAMES, PLACES, st.integers(1, 4096))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=500, deadline=None)
 def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]
     start = 13 + int(place * (len(whole.data) - 14))
@@ -178,7 +178,7 @@ def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
 @example("bz2.bag", place_of("bz2.bag", 19001), 1)  # what is left of a chunk info claims messages without number
 @example("lz4.mcap", 0.9296875, 411)  # what is left of the statistics claims more messages than there are stars
 @example("none.mcap", place_of("none.mcap", 3735), 1600)  # a chunk is gone with its index; what is left fits together
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=500, deadline=None)
 def test_a_sector_cut_out(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]
     start = 13 + int(place * (len(whole.data) - 14))
@@ -203,7 +203,7 @@ def test_a_cut_anywhere(name: str, place: float) -> None:
 @example("none.mcap", place_of("none.mcap", 1846), 1)  # the last message index of a chunk becomes a message
 @example("none.mcap", place_of("none.mcap", 13884), 0)  # a channel in the summary becomes a message
 @example("lz4.bag", 0.30179838998996594, 3)  # a chunk is said to be so long that it holds the next one, too
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=500, deadline=None)
 def test_a_flipped_bit(name: str, place: float, bit: int) -> None:
     whole = WHOLE[name]
     at = 13 + int(place * (len(whole.data) - 14))
