@@ -60,9 +60,12 @@ await dialog.waitFor();
 seen.kept = [await metadata.getByLabel("operator").inputValue(), await notes.getByRole("textbox").inputValue()];
 await signInAgain("metadata");
 await metadata.getByRole("button", { name: "grace" }).waitFor();
+const save = notes.getByRole("button", { name: "Save" });
 await endSessions();
-await notes.getByRole("button", { name: "Save" }).click();
+await save.evaluate((button) => button.click()); // whether or not the page knows by now, and asks in front of it
+const told = page.waitForResponse((answer) => answer.url().includes("/api/v1/events") && answer.ok());
 await signInAgain("notes");
+await told;
 await notes.locator("p", { hasText: "Snow on the ridge." }).waitFor();
 
 // The API dies while a form is half filled, and comes back by its supervisor.

@@ -18,7 +18,8 @@ export interface LiveOptions {
 }
 
 export interface Live {
-  readonly isConnected: Ref<boolean>;
+  /** How often the line broke. */
+  readonly breaks: Readonly<Ref<number>>;
 }
 
 function parsed(text: string): unknown {
@@ -32,7 +33,7 @@ function parsed(text: string): unknown {
 /** Listens to a stream of events at a path, for as long as the component lives; a path of null listens to nothing. */
 export function useLive(path: WatchSource<string | null>, options: LiveOptions): Live {
   const queries = useQueryClient();
-  const isConnected = ref(false);
+  const breaks = ref(0);
   let source: EventSource | null = null;
   let timer: ReturnType<typeof setTimeout> | undefined;
   let again: ReturnType<typeof setTimeout> | undefined;
@@ -53,24 +54,22 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   }
 
   function connected(): void {
-    isConnected.value = true;
     if (isBroken) void queries.invalidateQueries(); // what changed meanwhile was told to nobody
     isBroken = false;
   }
 
   /** A browser connects again by itself where the line broke, and never again where it was refused. */
   function broken(at: string): void {
-    isConnected.value = false;
+    breaks.value += 1;
     isBroken = true;
     clearTimeout(again);
-    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => (isAskingToSignIn.value ? broken(at) : open(at)), AGAIN_MS);
+    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isAskingToSignIn.value || open(at), AGAIN_MS);
   }
 
   function close(): void {
     clearTimeout(again);
     source?.close();
     source = null;
-    isConnected.value = false;
   }
 
   function open(at: string | null): void {
@@ -83,9 +82,16 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   }
 
   watch(path, open, { immediate: true });
+  // What is told is told to a session: to the one that just began, anew.
+  watch(isAskingToSignIn, (isAsking) => {
+    if (!isAsking && source !== null) {
+      isBroken = true;
+      open(source.url);
+    }
+  });
   onScopeDispose(() => {
     clearTimeout(timer);
     close();
   });
-  return { isConnected };
+  return { breaks };
 }

@@ -6,7 +6,7 @@ import { Problem } from "@/api/problem";
 const AGAIN_MS = 5000;
 
 /** Returns whether the server answers. Once it does again, what failed meanwhile is asked for anew. */
-export function useOnline(isConnected: Readonly<Ref<boolean>>): Readonly<Ref<boolean>> {
+export function useOnline(breaks: Readonly<Ref<number>>): Readonly<Ref<boolean>> {
   const queries = useQueryClient();
   const isAnswered = ref(true);
   let timer: ReturnType<typeof setInterval> | undefined;
@@ -35,7 +35,7 @@ export function useOnline(isConnected: Readonly<Ref<boolean>>): Readonly<Ref<boo
     if (!(reason instanceof Problem) || reason.code !== "unreachable") return;
     away();
   });
-  watch(isConnected, (isNow) => isNow || void look());
+  watch(breaks, look);
   onScopeDispose(() => {
     stop();
     clearInterval(timer);
