@@ -63,6 +63,7 @@ await reaches(25);
 const session = await context.cookies();
 await context.clearCookies();
 await page.getByRole("dialog").getByRole("button", { name: "Sign in" }).waitFor();
+await page.locator("[data-phase=signed_out]").waitFor(); // the page may have been told before the upload was
 seen.signedOut = await panel.innerText();
 await page.screenshot({ path: `${pictures}/upload-signed-out.png` });
 await context.addCookies(session);
