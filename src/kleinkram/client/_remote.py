@@ -4,11 +4,10 @@ import uuid
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import urllib3
-
 from kleinkram.client.files import Files
 from kleinkram.contract.files import DownloadLink
-from kleinkram.recordings.http_source import TIMEOUT, HttpSource
+from kleinkram.recordings.connections import Connections
+from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
 
 _MOST_FILES = 500
@@ -20,7 +19,7 @@ class RemoteFiles:
     def __init__(self, files: Files, file_ids: Sequence[uuid.UUID]) -> None:
         self._files = files
         self._file_ids = file_ids
-        self._pool = urllib3.PoolManager(maxsize=PARALLEL_READS, retries=False, timeout=TIMEOUT)
+        self._connections = Connections(PARALLEL_READS)
 
     def sources(self) -> Sequence[HttpSource]:
         """Return a source for each file, in the order given.
@@ -35,11 +34,13 @@ class RemoteFiles:
 
     def close(self) -> None:
         """Close the connections to the store."""
-        self._pool.clear()
+        self._connections.close()
 
     def _source(self, link: DownloadLink) -> HttpSource:
         renew: Callable[[], str] = partial(self._sign_again, link.file_id)
-        return HttpSource(link.url, size_bytes=link.size_bytes, name=link.path, pool=self._pool, renew=renew)
+        return HttpSource(
+            link.url, size_bytes=link.size_bytes, name=link.path, connections=self._connections, renew=renew
+        )
 
     def _sign_again(self, file_id: uuid.UUID) -> str:
         return self._files.links([file_id]).items[0].url

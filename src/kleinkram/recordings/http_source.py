@@ -9,18 +9,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from http.client import HTTPException, HTTPResponse
 from urllib.parse import urlsplit
 
-import urllib3
-from urllib3.exceptions import HTTPError
-
+from kleinkram.recordings.connections import Connections
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sources import check_range
 
 ATTEMPTS = 4
 FIRST_PAUSE_S = 0.1
-TIMEOUT = urllib3.Timeout(connect=10, read=30)
 
 
 class HttpSource:
@@ -42,7 +40,7 @@ class HttpSource:
         *,
         size_bytes: int,
         name: str,
-        pool: urllib3.PoolManager | None = None,
+        connections: Connections | None = None,
         renew: Callable[[], str] | None = None,
     ) -> None:
         self.name = name
@@ -54,7 +52,7 @@ class HttpSource:
         self._lock = threading.Lock()
         self._renew = renew
         self._renewing = threading.Lock()
-        self._pool = pool or urllib3.PoolManager(maxsize=PARALLEL_READS, retries=False, timeout=TIMEOUT)
+        self._connections = connections or Connections(PARALLEL_READS)
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; a lost connection or a 5xx is tried again.
@@ -98,26 +96,17 @@ class HttpSource:
         span = f"bytes={offset}-{offset + length - 1}"
         headers = {"Range": span, "Accept-Encoding": "identity"}
         try:
-            response = self._pool.request(
-                "GET", url, headers=headers, redirect=False, retries=False, preload_content=False
-            )
-            data = b""
-            try:
-                self._check_answer(response, offset, length)
-                data = response.read(length)
-            finally:
-                # A connection is used again only if nothing of this answer is left in it.
-                if len(data) != length:
-                    response.close()
-                response.release_conn()
-        except HTTPError as error:
+            with self._connections.get(urlsplit(url), headers) as answer:
+                self._check_answer(answer, offset, length)
+                data = answer.read(length)
+        except (HTTPException, OSError) as error:
             raise _Retryable(f"no answer from {self._host}: {type(error).__name__}") from error
         if len(data) != length:
             raise _Retryable(f"{self._host} sent {len(data)} of {length} bytes at byte {offset}")
         return data
 
-    def _check_answer(self, response: urllib3.BaseHTTPResponse, offset: int, length: int) -> None:
-        status = response.status
+    def _check_answer(self, answer: HTTPResponse, offset: int, length: int) -> None:
+        status = answer.status
         if status >= 500 or status == 429:
             raise _Retryable(f"{self._host} answered {status}")
         if status == 403:
@@ -127,7 +116,7 @@ class HttpSource:
         if status != 206:
             raise SourceError(f"{self.name}: {self._host} refused bytes {offset}+{length} with {status}")
         expected = f"bytes {offset}-{offset + length - 1}/{self.size_bytes}"
-        got = response.headers.get("Content-Range", "")
+        got = answer.headers.get("Content-Range", "")
         if got != expected:
             raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was asked for")
 

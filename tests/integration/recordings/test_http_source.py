@@ -36,7 +36,9 @@ class Store:
     data: bytes = DATA
     mishaps: list[str] = field(default_factory=list)
     requests: int = 0
+    connections: int = 0
     port: int = 0
+    hung_up: threading.Event = field(default_factory=threading.Event)
 
     def source(self, size_bytes: int | None = None) -> HttpSource:
         return HttpSource(self.url, size_bytes=size_bytes or len(self.data), name="drive.mcap")
@@ -56,13 +58,17 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
         disable_nagle_algorithm = True
         wbufsize = 65536
 
+        def setup(self) -> None:
+            state.connections += 1
+            super().setup()
+
         def do_GET(self) -> None:
             state.requests += 1
             match = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
             assert match is not None
             first, last = int(match[1]), int(match[2])
             mishap = state.mishaps.pop(0) if state.mishaps else ""
-            body = state.data[first : last + 1]
+            body = state.data[first : last + 1] + (b"HTTP/1.1 206" if mishap == "more" else b"")
             status = int(mishap) if mishap.isdigit() else 206
             shown = first + 1 if mishap == "other range" else first
             self.send_response(status)
@@ -71,9 +77,10 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
             self.end_headers()
             self.wfile.write(body[: len(body) // 2] if mishap == "cut" else body)
             self.wfile.flush()
-            if mishap == "cut":
+            if mishap in ("cut", "hangs up"):
                 self.close_connection = True
                 self.connection.shutdown(socket.SHUT_RDWR)
+                state.hung_up.set()
 
         def log_message(self, *_: object) -> None:
             pass
@@ -127,6 +134,30 @@ def test_another_range_or_another_size_is_refused(store: Store) -> None:
         store.source().read(0, 100)
     with pytest.raises(SourceError, match="where 'bytes 0-99/9999' was asked for"):
         store.source(size_bytes=9_999).read(0, 100)
+
+
+def test_one_connection_serves_all_reads_of_a_thread(store: Store) -> None:
+    source = store.source()
+    for offset in range(0, 2_000, 100):
+        assert source.read(offset, 100) == DATA[offset : offset + 100]
+    assert (store.requests, store.connections) == (20, 1)
+
+
+def test_a_kept_connection_that_was_dropped_is_not_used_again(store: Store) -> None:
+    source = store.source()
+    store.mishaps = ["hangs up"]
+    assert source.read(0, 100) == DATA[:100]
+    assert store.hung_up.wait(10)
+    assert source.read(100, 100) == DATA[100:200]
+    assert (store.requests, store.connections) == (2, 2)
+
+
+def test_what_is_left_of_an_answer_is_not_taken_for_the_next(store: Store) -> None:
+    source = store.source()
+    store.mishaps = ["more"]
+    assert source.read(0, 100) == DATA[:100]
+    assert source.read(100, 100) == DATA[100:200]
+    assert store.connections == 2
 
 
 def test_more_than_the_file_is_never_asked_for(store: Store) -> None:
