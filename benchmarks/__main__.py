@@ -11,6 +11,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -254,16 +255,22 @@ def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
     settle()
     rows = []
     for path in sorted(folder.iterdir()):
-        runs = [run_side("summary_remote", "summaries", path.name, environment=environment) for _ in range(6)]
-        seconds, read = statistics.median(run.seconds for run in runs), runs[0].facts["bytes_read"]
+        ours, raw = (
+            partial(run_side, name, "summaries", path.name, environment=environment)
+            for name in ("summary_remote", "summary_raw")
+        )
+        pairing = pair(ours, raw)
+        seconds, read = pairing.median(lambda run: run.seconds), pairing.ours[0].facts["bytes_read"]
+        raw_s = statistics.median(run.seconds for run in pairing.raw)
         allowed = index_bytes(path) + 1_000_000
         rows.append(
             {
                 "what": f"summary of a 1 GB {path.suffix[1:]} over HTTP",
-                "measured": f"{seconds:.2f} s, {read / 1e6:.2f} MB read",
+                "measured": f"{seconds:.2f} s, {read / 1e6:.2f} MB read; the store alone takes {raw_s:.2f} s for it",
                 "bar": f"<= 1.5 s, <= {allowed / 1e6:.2f} MB (index + 1 MB)",
                 "met": seconds <= 1.5 and read <= allowed,
-                "seconds": [run.seconds for run in runs],
+                "ours_s": [run.seconds for run in pairing.ours],
+                "raw_s": [run.seconds for run in pairing.raw],
                 "bytes_read": read,
             }
         )

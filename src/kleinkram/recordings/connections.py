@@ -2,7 +2,7 @@
 
 A summary over a network is about a thousand requests of a kilobyte. Through urllib3 each costs its caller 0.6 ms of
 CPU time, most of it for parsing addresses and pooling that such requests have no use for; through `http.client`, less
-than half of it.
+than half of it. And one thread can have several requests under way, where many threads would wait for each other.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ import select
 import ssl
 import threading
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from urllib.parse import SplitResult
 
 CONNECT_TIMEOUT_S = 10.0
@@ -33,32 +32,21 @@ class Connections:
         # For a caller that forgets to close: sources are handed around, and few of their users own them.
         weakref.finalize(self, _close_all, self._idle)
 
-    @contextmanager
-    def get(self, url: SplitResult, headers: dict[str, str]) -> Iterator[http.client.HTTPResponse]:
-        """Send a GET, and yield its answer, whose body is not read yet.
-
-        The connection is kept if the caller has read all of the answer.
+    def send(self, url: SplitResult, headers: dict[str, str]) -> Exchange:
+        """Send a GET; its answer may be waited for later.
 
         Raises:
             OSError: no connection, or it was lost.
-            http.client.HTTPException: the answer is not HTTP.
         """
         place = (url.scheme, url.hostname or "", url.port)
         connection = self._take(place) or self._open(place)
-        answer = None
+        target = url.path or "/"
         try:
-            target = url.path or "/"
             connection.request("GET", f"{target}?{url.query}" if url.query else target, headers=headers)
-            answer = connection.getresponse()
-            yield answer
-        finally:
-            # One that the server means to close has no socket any more: it belongs to the answer.
-            if answer is not None and answer.isclosed() and connection.sock is not None:
-                self._keep(place, connection)
-            else:
-                if answer is not None:
-                    answer.close()
-                connection.close()
+        except BaseException:
+            connection.close()
+            raise
+        return Exchange(connection, lambda: self._keep(place, connection))
 
     def close(self) -> None:
         """Close those that are idle."""
@@ -99,6 +87,43 @@ class Connections:
                 self._idle.append((place, connection))
                 return
         connection.close()
+
+
+class Exchange:
+    """A request that was sent. As a context, its answer, whose body is not read yet.
+
+    The connection is kept for others if all of the answer was read.
+
+    Raises (on entering):
+        OSError: the connection was lost.
+        http.client.HTTPException: the answer is not HTTP.
+    """
+
+    def __init__(self, connection: http.client.HTTPConnection, keep: Callable[[], None]) -> None:
+        self._connection = connection
+        self._keep = keep
+        self._answer: http.client.HTTPResponse | None = None
+
+    def __enter__(self) -> http.client.HTTPResponse:
+        try:
+            self._answer = self._connection.getresponse()
+        except BaseException:
+            self._connection.close()
+            raise
+        return self._answer
+
+    def __exit__(self, *_: object) -> None:
+        # A connection that the server means to end has no socket any more: it is the answer's.
+        if self._answer is not None and self._answer.isclosed() and self._connection.sock is not None:
+            self._keep()
+        else:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the connection, whatever it still brings."""
+        if self._answer is not None:
+            self._answer.close()
+        self._connection.close()
 
 
 def _close_all(idle: list[tuple[_Place, http.client.HTTPConnection]]) -> None:

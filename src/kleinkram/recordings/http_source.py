@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from http.client import HTTPException, HTTPResponse
 from urllib.parse import urlsplit
 
-from kleinkram.recordings.connections import Connections
+from kleinkram.recordings.connections import Connections, Exchange
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sources import check_range
@@ -64,10 +65,49 @@ class HttpSource:
         if length == 0:
             return b""
         data = self._fetch_stubbornly(offset, length)
-        with self._lock:
-            self.bytes_read += length
-            self.reads += 1
+        self._count(length)
         return data
+
+    def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        """Yield the bytes of each (offset, length), in order; the next few are asked for meanwhile.
+
+        All in the calling thread: what has come waits in the connections, so each range had better be short.
+
+        Raises:
+            SourceError: as `read`.
+        """
+        under_way: deque[tuple[int, int, Exchange | None]] = deque()
+        try:
+            for offset, length in ranges:
+                check_range(self, offset, length)
+                under_way.append((offset, length, self._ask_ahead(offset, length)))
+                if len(under_way) == PARALLEL_READS:
+                    yield self._take_answer(*under_way.popleft())
+            while under_way:
+                yield self._take_answer(*under_way.popleft())
+        finally:
+            for *_, exchange in under_way:
+                if exchange:
+                    exchange.abandon()
+
+    def _ask_ahead(self, offset: int, length: int) -> Exchange | None:
+        if length == 0:
+            return None
+        try:
+            return self._connections.send(urlsplit(self._url), _headers(offset, length))
+        except (HTTPException, OSError):
+            return None
+
+    def _take_answer(self, offset: int, length: int, exchange: Exchange | None) -> bytes:
+        if exchange is not None:
+            try:
+                data = self._receive(exchange, offset, length)
+            except (_Retryable, _Refused):
+                pass
+            else:
+                self._count(length)
+                return data
+        return self.read(offset, length)
 
     def _fetch_stubbornly(self, offset: int, length: int, attempt: int = 1) -> bytes:
         url = self._url
@@ -93,17 +133,30 @@ class HttpSource:
             return self._url != refused
 
     def _fetch(self, url: str, offset: int, length: int) -> bytes:
-        span = f"bytes={offset}-{offset + length - 1}"
-        headers = {"Range": span, "Accept-Encoding": "identity"}
         try:
-            with self._connections.get(urlsplit(url), headers) as answer:
+            exchange = self._connections.send(urlsplit(url), _headers(offset, length))
+        except (HTTPException, OSError) as error:
+            raise self._no_answer(error) from error
+        return self._receive(exchange, offset, length)
+
+    def _receive(self, exchange: Exchange, offset: int, length: int) -> bytes:
+        try:
+            with exchange as answer:
                 self._check_answer(answer, offset, length)
                 data = answer.read(length)
         except (HTTPException, OSError) as error:
-            raise _Retryable(f"no answer from {self._host}: {type(error).__name__}") from error
+            raise self._no_answer(error) from error
         if len(data) != length:
             raise _Retryable(f"{self._host} sent {len(data)} of {length} bytes at byte {offset}")
         return data
+
+    def _no_answer(self, error: Exception) -> _Retryable:
+        return _Retryable(f"no answer from {self._host}: {type(error).__name__}")
+
+    def _count(self, length: int) -> None:
+        with self._lock:
+            self.bytes_read += length
+            self.reads += 1
 
     def _check_answer(self, answer: HTTPResponse, offset: int, length: int) -> None:
         status = answer.status
@@ -119,6 +172,10 @@ class HttpSource:
         got = answer.headers.get("Content-Range", "")
         if got != expected:
             raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was asked for")
+
+
+def _headers(offset: int, length: int) -> dict[str, str]:
+    return {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
 
 
 class _Retryable(Exception):

@@ -9,7 +9,7 @@ import os
 import stat
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -127,6 +127,30 @@ class CountingSource:
             self.reads += 1
             self.bytes_read += length
         return data
+
+    def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        """Yield the bytes of each (offset, length), and count them; see `read_short_ranges`."""
+        for data in read_short_ranges(self._source, ranges):
+            with self._lock:
+                self.reads += 1
+                self.bytes_read += len(data)
+            yield data
+
+
+def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+    """Yield the bytes of each (offset, length), in order; over a network, the next few are already asked for.
+
+    A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    read_short: Callable[[Iterable[tuple[int, int]]], Iterator[bytes]] | None = getattr(source, "read_short", None)
+    if read_short is not None:
+        yield from read_short(ranges)
+        return
+    for offset, length in ranges:
+        yield source.read(offset, length)
 
 
 def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:

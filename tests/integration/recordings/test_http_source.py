@@ -23,6 +23,7 @@ from kleinkram.recordings import (
     summarise_isolated,
 )
 from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
+from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 DATA = bytes(range(256)) * 40
@@ -158,6 +159,33 @@ def test_what_is_left_of_an_answer_is_not_taken_for_the_next(store: Store) -> No
     assert source.read(0, 100) == DATA[:100]
     assert source.read(100, 100) == DATA[100:200]
     assert store.connections == 2
+
+
+@pytest.mark.parametrize("mishap", ["", "503", "cut", "hangs up", "more"])
+def test_short_ranges_come_in_their_order(store: Store, mishap: str) -> None:
+    source = store.source()
+    store.mishaps = ["", "", mishap, "", mishap]
+    ranges = [(offset, 0 if offset == 700 else 90) for offset in range(0, 5_000, 100)]
+    assert list(source.read_short(ranges)) == [DATA[offset : offset + length] for offset, length in ranges]
+    assert (source.reads, source.bytes_read) == (49, 49 * 90)
+    assert store.connections <= PARALLEL_READS + 2
+
+
+@pytest.mark.parametrize(
+    ("mishaps", "says"), [(["", "404"], "with 404"), (["503"] * (PARALLEL_READS + ATTEMPTS), "answered 503")]
+)
+def test_short_ranges_say_what_is_wrong(store: Store, mishaps: list[str], says: str) -> None:
+    store.mishaps = mishaps
+    with pytest.raises(SourceError, match=says):
+        list(store.source().read_short((offset, 100) for offset in range(0, 5_000, 100)))
+
+
+def test_what_was_asked_ahead_and_not_taken_is_let_go(store: Store) -> None:
+    source = store.source()
+    for data in source.read_short((offset, 100) for offset in range(0, 5_000, 100)):
+        assert data == DATA[:100]
+        break
+    assert source.read(4_000, 100) == DATA[4_000:4_100]
 
 
 def test_more_than_the_file_is_never_asked_for(store: Store) -> None:

@@ -20,7 +20,7 @@ from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
-from kleinkram.recordings.sources import Source, read_ranges
+from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.stream import Cut, ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
@@ -181,7 +181,7 @@ def _chunk_streams(source: Source, bag: _Bag) -> Iterator[tuple[ChunkInfo, recor
     first = bag.chunks[0].position
     first_head = (first, min(records.CHUNK_HEAD_BYTES, bag.index_start - first))
     reads = ((start, stop - start) for _, start, stop in _plan_reads(bag))
-    answers = read_ranges(source, chain([first_head], reads))
+    answers = read_short_ranges(source, chain([first_head], reads))
     head_bytes = next(answers)
     for chunk, (end, start, _stop), answer in zip(bag.chunks, _plan_reads(bag), answers, strict=True):
         head = _parse_head(source, chunk.position, head_bytes)

@@ -17,7 +17,7 @@ from kleinkram.recordings.limits import MAX_CHUNK_INDEX, TAIL, WINDOW
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.records import ChunkPlace, McapFacts
 from kleinkram.recordings.packed import smallest_to_come
-from kleinkram.recordings.sources import Source, read_ranges
+from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
@@ -153,7 +153,7 @@ def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
             yield open_range(source, place.index_start, place.end)
         return
     ranges = ((place.index_start, place.end - place.index_start) for place in facts.chunks)
-    for place, data in zip(facts.chunks, read_ranges(source, ranges), strict=True):
+    for place, data in zip(facts.chunks, read_short_ranges(source, ranges), strict=True):
         yield open_bytes(data, place.index_start)
 
 
