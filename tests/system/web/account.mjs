@@ -68,7 +68,8 @@ await dialog.getByRole("button", { name: "Sign out everywhere" }).click();
 await ada.waitForURL((url) => url.pathname === "/sign-in");
 await ada.close();
 
-// A mission, whose form says beside each field what is wrong with it: by itself, then by the server's word.
+// A mission, whose form begins with what the last one said, and says beside each field what is wrong with it: by itself,
+// then by the server's word.
 const { page: owner } = await somebody(() => mayRefuse);
 await owner.goto(link);
 await owner.waitForURL((url) => url.pathname === "/");
@@ -76,6 +77,9 @@ await owner.goto(`${address}/projects/${project}`);
 await owner.getByRole("button", { name: "New mission" }).click();
 const form = owner.getByRole("dialog");
 const make = form.getByRole("button", { name: "Make the mission" });
+await form.getByText("Prefilled from the mission taken.").waitFor();
+seen.prefilled = await Promise.all([/^robot/, /^operator/, /^day/].map((name) => form.getByLabel(name).inputValue()));
+await form.getByLabel(/^robot/).selectOption("");
 await make.click();
 seen.nameMissing = await wrongWith(owner, /^Name · required/);
 seen.robotMissing = await wrongWith(owner, /^robot/);

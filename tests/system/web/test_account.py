@@ -17,6 +17,7 @@ _FIELDS = """
 fields:
   - {name: robot, type: choice, choices: [anymal, spot], required: true}
   - {name: operator, type: string, pattern: "(?i)[a-z]+", required: true}
+  - {name: day, type: date}
 """
 
 
@@ -46,7 +47,7 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     )
     (tmp_path / "fields.yaml").write_text(_FIELDS)
     project = terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml", "--json").json()["id"]
-    (tmp_path / "taken.yaml").write_text("robot: spot\noperator: ada\n")
+    (tmp_path / "taken.yaml").write_text("robot: spot\noperator: ada\nday: 2026-05-01\n")
     terminal.run("mission", "create", "taken", "-p", "Alps", "--metadata", tmp_path / "taken.yaml")
     ada = _join(house)
     sql(
@@ -64,6 +65,7 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     assert seen["wrongPassword"] == "This is not your password."
     assert (seen["before"], seen["after"]) == (200, 401)
     assert sql(house, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
+    assert seen["prefilled"] == ["spot", "ada", ""], "but for the day, which is another"
     assert seen["nameMissing"] == "A mission needs a name."
     assert seen["robotMissing"] == "This is required."
     assert "[a-z]+" in seen["operatorWrong"]

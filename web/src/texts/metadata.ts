@@ -16,6 +16,7 @@ export const texts = {
   wantsLongitude: "Longitude is in degrees, from −180 to 180.",
   wantsChoice: "Choose one of the list.",
   degrees: (latitude: number, longitude: number) => `${latitude.toFixed(5)}°, ${longitude.toFixed(5)}°`,
+  prefilled: (name: string) => `Prefilled from the mission ${name}. Change what differs.`,
   place: { name: "Name of the place", latitude: "Latitude (degrees)", longitude: "Longitude (degrees)", byName: "By name", byDegrees: "By coordinates" },
   further: "Further values",
   furtherHint: "Values that the project does not ask for.",

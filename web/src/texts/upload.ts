@@ -122,7 +122,6 @@ export const texts = {
     missionName: "Name of the new mission",
     missionHint: "One outing of a robot, for example 2026-11-21-forest-2",
     find: "Find by name",
-    prefilled: (name: string) => `Prefilled from the mission ${name}`,
     start: (count: number) => `Upload ${counted(count, "file")}`,
     needsName: "Give it a name.",
     needsChoice: "Choose one.",

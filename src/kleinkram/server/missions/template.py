@@ -5,7 +5,7 @@ import re
 
 from pydantic import JsonValue
 
-from kleinkram.contract.metadata import Metadata, MetadataField, MetadataFields, Undeclared
+from kleinkram.contract.metadata import FieldType, Metadata, MetadataField, MetadataFields, Undeclared
 from kleinkram.server.missions.metadata import Judge, Wrong, describe
 from kleinkram.server.yaml_text import resolve_plain
 
@@ -14,7 +14,10 @@ _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
 def prefilled(fields: MetadataFields, last: Metadata) -> Metadata:
-    """Return the values to begin with: those of the last mission that still fit, else defaults."""
+    """Return the values to begin with: those of the last mission that still fit, else defaults.
+
+    A date is not taken over: it would be the wrong one, and nobody would be asked for theirs.
+    """
     judge = Judge(fields)
     values = {field.name: _prefilled(judge, field, last.get(field.name)) for field in fields.fields}
     declared = {name.casefold() for name in values}
@@ -48,7 +51,7 @@ def _explained(field: MetadataField) -> list[str]:
 
 
 def _prefilled(judge: Judge, field: MetadataField, last: JsonValue) -> JsonValue:
-    if last is not None:
+    if last is not None and field.type is not FieldType.date:
         try:
             return judge.accept(field.name, last)
         except Wrong:

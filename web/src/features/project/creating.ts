@@ -1,11 +1,13 @@
 // Making a mission, and what the server's refusal says of each field of the form.
-import { useMutation, useQueryClient } from "@tanstack/vue-query";
+import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { computed, toValue, type MaybeRefOrGetter } from "vue";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import type { FieldProblem, Problem } from "@/api/problem";
 import type { components } from "@/api/schema";
 
 type MissionCreate = components["schemas"]["MissionCreate"];
+type MissionTemplate = components["schemas"]["MissionTemplate"];
 
 export function useCreateMission(projectId: string) {
   const queries = useQueryClient();
@@ -17,6 +19,24 @@ export function useCreateMission(projectId: string) {
     },
     meta: { showsItself: true },
   });
+}
+
+/** Asks what to begin a project's next mission with, as the last one says; anew each time, for it may have been another. */
+export function useTemplate(projectId: MaybeRefOrGetter<string>) {
+  return useQuery({
+    queryKey: computed(() => keys.template(toValue(projectId))),
+    queryFn: ({ signal }) => {
+      const path = { project_id: toValue(projectId) };
+      return call(api.GET("/api/v1/projects/{project_id}/template", { params: { path }, signal }));
+    },
+    enabled: computed(() => toValue(projectId) !== ""),
+    gcTime: 0,
+  });
+}
+
+/** Returns the name of the mission that values to begin with were taken from; empty where none were. */
+export function takenFrom(template: MissionTemplate | undefined): string {
+  return template !== undefined && Object.keys(template.values).length > 0 ? (template.prefilled_from?.name ?? "") : "";
 }
 
 /** What a refusal says: of the name, of the metadata's fields, and whether it says more than that. */

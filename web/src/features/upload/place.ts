@@ -7,6 +7,7 @@ import { keys } from "@/api/keys";
 import { type Problem, toProblem } from "@/api/problem";
 import type { Mission, MetadataFields, Page, Project } from "@/api/types";
 import { judge, type Values } from "@/components/metadata";
+import { takenFrom, useTemplate } from "@/features/project/creating";
 import { texts } from "@/texts/upload";
 import type { MissionPlace } from "./engine/nouns";
 
@@ -108,14 +109,7 @@ export function usePlace(): PlaceChoice {
     enabled: isThere,
     placeholderData: keepPreviousData,
   });
-  const template = useQuery({
-    queryKey: computed(() => keys.template(form.projectId)),
-    queryFn: ({ signal }) => {
-      const path = { project_id: form.projectId };
-      return call(api.GET("/api/v1/projects/{project_id}/template", { params: { path }, signal }));
-    },
-    enabled: isThere,
-  });
+  const template = useTemplate(() => (isThere.value ? form.projectId : ""));
   const writable = computed(() => projects.data.value?.items.filter(({ right }) => right !== "READ") ?? []);
   const projectOptions = computed(() => withKnown(known.project, writable.value));
   const missionOptions = computed(() => withKnown(known.mission, missions.data.value?.items ?? []));
@@ -183,6 +177,6 @@ export function usePlace(): PlaceChoice {
       return told && { items: projectOptions.value, hasMore: told.next != null };
     }),
     missions: computed(() => ({ items: missionOptions.value, hasMore: missions.data.value?.next != null })),
-    prefilledFrom: computed(() => template.data.value?.prefilled_from?.name ?? ""),
+    prefilledFrom: computed(() => takenFrom(template.data.value)),
   };
 }
