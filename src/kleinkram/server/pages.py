@@ -51,8 +51,10 @@ class Rows:
     total: int | None
 
 
-async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
-    """Run a select for one page.
+async def fetch_page(
+    db: Connection, statement: Select[Any], order: Order, request: PageRequest, *, counted: Select[Any] | None = None
+) -> Rows:
+    """Run a select for one page; `counted` is one of the same rows, before what describes them was joined.
 
     Raises:
         InvalidCursor: the cursor is not one of this list in this order.
@@ -60,8 +62,11 @@ async def fetch_page(db: Connection, statement: Select[Any], order: Order, reque
     total = None
     if request.count:
         # Of the rows alone: what stands in them costs much to describe, and nothing of it is counted.
-        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
+        rows_alone = statement if counted is None else counted
+        bare = rows_alone.with_only_columns(order.columns[-1]).order_by(None)
         total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
+        if not total and not request.cursor:  # nothing to go through everything for once more
+            return Rows([], None, 0)
     keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
     paged = statement.add_columns(*keys).limit(request.limit + 1)
     if request.cursor:

@@ -257,11 +257,12 @@ def _granted_where(actor: Actor) -> Select[Any]:
 
 
 def _joined_files() -> Select[Any]:
+    # Each file has its blob. As an outer join the database leaves it out where nothing is asked of blobs.
     return (
         select(file)
         .join(mission, mission.c.id == file.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
-        .join(blob, blob.c.id == file.c.blob_id)
+        .outerjoin(blob, blob.c.id == file.c.blob_id)
     )
 
 

@@ -80,7 +80,8 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 
 def file_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
-    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
+    # Said once more for the database, which may then begin with the blobs where these order the files.
+    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True).where(blob.c.id.is_not(None))
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
 
 
@@ -142,8 +143,8 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 
 
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
-    """Return the visible files that match."""
-    return file_rows(narrow_files(actor, visible_files(actor), matching))
+    """Return the visible files that match, to be counted or read."""
+    return narrow_files(actor, visible_files(actor), matching)
 
 
 def file_order(sort: FileSort) -> Order:

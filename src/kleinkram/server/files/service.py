@@ -70,7 +70,8 @@ async def list_files(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.matching_files(actor, matching), queries.file_order(sort), page)
+    found = queries.matching_files(actor, matching)
+    rows = await fetch_page(db, queries.file_rows(found), queries.file_order(sort), page, counted=found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 

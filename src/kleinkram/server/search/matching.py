@@ -224,7 +224,7 @@ def _labelled(labels: Sequence[str]) -> ColumnElement[bool]:
 
 def _blob_has_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
     # Its own look at the topics, even where the statement around it lists topics too.
-    return select(topic.c.id).where(topic.c.blob_id == blob.c.id, *conditions).correlate(blob).exists()
+    return select(topic.c.id).where(topic.c.blob_id == file.c.blob_id, *conditions).correlate(file).exists()
 
 
 def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnElement[bool]:

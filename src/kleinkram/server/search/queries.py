@@ -36,15 +36,17 @@ def topics_found(actor: Actor, matching: FileFilter, *, limit: int) -> Select[An
     Those whose names hold the most words of the filter come first, then those of the most files.
     """
     files = narrow_files(actor, visible_files(actor), matching)
-    of_blob = files.with_only_columns(file.c.blob_id, func.count().label("files"), maintain_column_froms=True)
-    # Looked up once and first: what is found of the files says nothing of how many topics they have.
-    found = of_blob.group_by(file.c.blob_id).cte("found").prefix_with("MATERIALIZED")
-    name, message_type, file_count = topic.c.name, topic.c.message_type, func.sum(found.c.files)
+    found = files.with_only_columns(file.c.blob_id, maintain_column_froms=True).cte("found")
+    if matching != FileFilter():
+        # Looked up once and first: what is found of the files says nothing of how many topics they have.
+        found = found.prefix_with("MATERIALIZED")
+    # A blob names each topic once, so there is a row for each of its files.
+    name, message_type, file_count = topic.c.name, topic.c.message_type, func.count()
     columns = (
         name,
         message_type,
         file_count.label("file_count"),
-        func.sum(topic.c.count * found.c.files).label("message_count"),
+        func.sum(topic.c.count).label("message_count"),
         func.count().over().label("total"),
     )
     grouped = narrow_topics(select(*columns).join_from(found, topic, topic.c.blob_id == found.c.blob_id), matching)

@@ -8,14 +8,14 @@ from kleinkram.contract.files import TopicRead
 from kleinkram.contract.topics import Density
 from kleinkram.recordings.density import unpack
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import blob, file, topic
+from kleinkram.server.tables import file, topic
 
 
 def topic_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the topics of the files of a select that began with `visible_files`, as `to_topic` reads them."""
     columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
     narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
-    return narrowed.join(topic, topic.c.blob_id == blob.c.id)
+    return narrowed.join(topic, topic.c.blob_id == file.c.blob_id)
 
 
 TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])

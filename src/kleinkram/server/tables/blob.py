@@ -66,6 +66,8 @@ blob = Table(
     # Finding a twin: by size before the hash is known, by hash after.
     Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=text("doomed_at IS NULL")),
     Index("ix_blob_unproven", "created_at", postgresql_where=text("state = 'stored' AND doomed_at IS NULL")),
+    # The order in which searches show files: the latest first, those without a time last.
+    Index("ix_blob_begun", text("coalesce(start_ns, '-9223372036854775808'::bigint)")),
     Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),
 )
 
