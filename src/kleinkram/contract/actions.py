@@ -1,0 +1,204 @@
+"""Actions: versioned definitions of what to run on the data of a mission.
+
+The same document stands in `action.yaml`, in the `[tool.kleinkram]` table of a script, and on the wire.
+"""
+
+import enum
+import math
+from fractions import Fraction
+from typing import Annotated
+
+from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from typing_extensions import Self
+
+from kleinkram.contract.names import Label, Name, Term, check_text
+from kleinkram.contract.query.amounts import read_duration, read_size
+from kleinkram.contract.rights import Right
+
+MAX_SCRIPT_CHARACTERS = 500_000
+MAX_PARAMETERS = 100
+MAX_VALUE_CHARACTERS = 10_000
+
+ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+ParameterValue = bool | int | float | str
+ParameterValues = dict[str, ParameterValue]
+Argument = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
+Globs = Annotated[list[Term], Field(max_length=50)]
+ImageName = Annotated[str, Field(pattern=r"^[a-z0-9][A-Za-z0-9._/:@-]{0,299}$")]
+
+
+class ParameterType(str, enum.Enum):
+    """What kind of value a parameter takes. A `topic` is a string that forms offer the mission's topics for."""
+
+    string = "string"
+    integer = "integer"
+    number = "number"
+    boolean = "boolean"
+    choice = "choice"
+    topic = "topic"
+
+
+class Parameter(BaseModel):
+    """What an action can be told. Without default it must be. `minimum` and `maximum` are inclusive."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: ParameterName
+    type: ParameterType
+    description: Annotated[str, Field(max_length=1000)] = ""
+    unit: Annotated[str, Field(max_length=32)] | None = None
+    default: ParameterValue | None = None
+    choices: Annotated[list[Label], Field(min_length=1, max_length=200)] | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        is_number = self.type in {ParameterType.integer, ParameterType.number}
+        if not is_number and (self.minimum, self.maximum, self.unit) != (None, None, None):
+            raise ValueError("minimum, maximum and unit are only for integers and numbers")
+        if (self.type is ParameterType.choice) != (self.choices is not None):
+            raise ValueError("a choice has 'choices', and nothing else has")
+        if self.default is not None:
+            self.check(self.default)
+        return self
+
+    def check(self, value: ParameterValue) -> ParameterValue:
+        """Return a value as the action gets it, or say why it cannot be this parameter's.
+
+        Raises:
+            ValueError: another type, none of the choices, or out of bounds.
+        """
+        wanted, accepted = _PYTHON_TYPES[self.type]
+        if not isinstance(value, accepted) or (isinstance(value, bool) and self.type is not ParameterType.boolean):
+            raise ValueError(f"{self.name!r} is {wanted}, not {value!r}")
+        if isinstance(value, str) and len(check_text(value)) > MAX_VALUE_CHARACTERS:
+            raise ValueError(f"{self.name!r} has {len(value)} characters; {MAX_VALUE_CHARACTERS} are allowed")
+        if self.choices is not None and value not in self.choices:
+            raise ValueError(f"{self.name!r} is one of {', '.join(self.choices)}, not {value!r}")
+        if self.type is ParameterType.number:
+            value = float(value)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{self.name!r} is a finite number, not {value}")
+        if self.minimum is not None and not isinstance(value, str) and value < self.minimum:
+            raise ValueError(f"{self.name!r} is at least {self.minimum:g}, not {value}")
+        if self.maximum is not None and not isinstance(value, str) and value > self.maximum:
+            raise ValueError(f"{self.name!r} is at most {self.maximum:g}, not {value}")
+        return value
+
+
+_PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {
+    ParameterType.string: ("a text", (str,)),
+    ParameterType.topic: ("the name of a topic", (str,)),
+    ParameterType.choice: ("a text", (str,)),
+    ParameterType.integer: ("a whole number", (int,)),
+    ParameterType.number: ("a number", (int, float)),
+    ParameterType.boolean: ("true or false", (bool,)),
+}
+
+
+class Network(str, enum.Enum):
+    """What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches."""
+
+    none = "none"
+    api = "api"
+    open = "open"
+
+
+class Inputs(BaseModel):
+    """Which files of a mission a run gets: those of which the path, a topic and a message type match.
+
+    Globs as in filters; an empty list matches all. By default, all files.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    paths: Globs = []
+    topics: Globs = []
+    message_types: Globs = []
+
+
+def _size(value: object) -> object:
+    return _whole(read_size(value)) if isinstance(value, str) else value
+
+
+def _seconds(value: object) -> object:
+    return _whole(read_duration(value) / 10**9) if isinstance(value, str) and not value.isdigit() else value
+
+
+def _whole(amount: Fraction) -> int:
+    if amount.denominator != 1:
+        raise ValueError("is not a whole number of bytes or seconds")
+    return int(amount)
+
+
+class Resources(BaseModel):
+    """What a run may use at most, and what a runner sets aside for it. In manifests also as `memory: 4GB`, `time: 30m`.
+
+    `disk_bytes` is for `/out` and `/tmp` together.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True)
+
+    cores: Annotated[float, Field(gt=0, le=1024)] = 1
+    memory_bytes: Annotated[
+        int,
+        BeforeValidator(_size),
+        Field(ge=16 * 2**20, le=2**46, validation_alias=AliasChoices("memory_bytes", "memory")),
+    ] = 2 * 10**9
+    disk_bytes: Annotated[
+        int, BeforeValidator(_size), Field(ge=2**20, le=2**50, validation_alias=AliasChoices("disk_bytes", "disk"))
+    ] = 10 * 10**9
+    gpus: Annotated[int, Field(ge=0, le=64)] = 0
+    time_s: Annotated[
+        int, BeforeValidator(_seconds), Field(ge=1, le=30 * 86_400, validation_alias=AliasChoices("time_s", "time"))
+    ] = 3600
+    labels: Annotated[list[Label], Field(max_length=20)] = []
+
+
+class ActionDefinition(BaseModel):
+    """What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
+
+    `command` is a list that nobody splits; without it the image's own is run. A script is started with Python.
+    `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+    description: Annotated[str, AfterValidator(check_text), Field(max_length=10_000)] = ""
+    image: ImageName | None = None
+    command: Annotated[list[Argument], Field(max_length=1000)] = []
+    script: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_SCRIPT_CHARACTERS)] | None = None
+    parameters: Annotated[list[Parameter], Field(max_length=MAX_PARAMETERS)] = []
+    inputs: Inputs = Inputs()
+    resources: Resources = Resources()
+    network: Network = Network.none
+    right: Right = Right.read
+
+    @model_validator(mode="after")
+    def _can_be_run(self) -> Self:
+        if self.image is None and self.script is None:
+            raise ValueError("an action has an 'image' or a 'script'")
+        if self.script is not None and self.command:
+            raise ValueError("a script is run as it is: it has no 'command'")
+        names = [parameter.name for parameter in self.parameters]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"the parameter {twice[0]!r} is declared twice")
+        return self
+
+    def fill_in(self, given: ParameterValues) -> ParameterValues:
+        """Return the values of all parameters: those given, checked, and the defaults of the others.
+
+        Raises:
+            ValueError: one is unknown, missing or not what it should be.
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        if unknown := sorted(set(given) - set(known)):
+            choices = ", ".join(known) or "none at all"
+            raise ValueError(f"{self.name} has no parameter {unknown[0]!r}; it has {choices}")
+        missing = [name for name, each in known.items() if each.default is None and name not in given]
+        if missing:
+            raise ValueError(f"{self.name} must be told its parameter {missing[0]!r}")
+        said = {name: given.get(name, each.default) for name, each in known.items()}
+        return {name: known[name].check(value) for name, value in said.items() if value is not None}

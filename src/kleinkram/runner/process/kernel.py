@@ -1,0 +1,102 @@
+"""Calls of the Linux kernel that Python has no words for. Each raises OSError with the call's name."""
+
+import ctypes
+import fcntl
+import os
+import socket
+import struct
+from pathlib import Path
+
+CLONE_NEWNS = 0x00020000
+CLONE_NEWUTS = 0x04000000
+CLONE_NEWIPC = 0x08000000
+CLONE_NEWUSER = 0x10000000
+CLONE_NEWPID = 0x20000000
+CLONE_NEWNET = 0x40000000
+
+MS_NOSUID = 0x2
+MS_NODEV = 0x4
+MS_BIND = 0x1000
+MS_REC = 0x4000
+MS_PRIVATE = 0x40000
+_MNT_DETACH = 0x2
+
+_PR_SET_PDEATHSIG = 1
+_PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_NO_NEW_PRIVS = 38
+_MOUNT_SETATTR = 442  # the same number on all architectures; Linux 5.12
+_AT_RECURSIVE = 0x8000
+_AT_FDCWD = -100
+_MOUNT_ATTR_RDONLY = 0x1
+_MOUNT_ATTR_NOSUID = 0x2
+_MOUNT_ATTR_NODEV = 0x4
+_SIOCGIFFLAGS = 0x8913
+_SIOCSIFFLAGS = 0x8914
+_IFF_UP = 0x1
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def unshare(flags: int) -> None:
+    """Leave the namespaces that `flags` name, for new ones."""
+    _check(_libc.unshare(flags), "unshare")
+
+
+def map_identity(uid: int, gid: int, *, inside: int) -> None:
+    """Be `inside`, by uid and gid, in the user namespace just made; outside still `uid` and `gid`."""
+    Path("/proc/self/setgroups").write_text("deny")
+    Path("/proc/self/uid_map").write_text(f"{inside} {uid} 1")
+    Path("/proc/self/gid_map").write_text(f"{inside} {gid} 1")
+
+
+def mount(source: str, target: Path, kind: str | None, flags: int, options: str = "") -> None:
+    """Put a file system, or a part of one, in a place."""
+    words = [source.encode(), os.fsencode(target), kind.encode() if kind else None]
+    _check(_libc.mount(*words, ctypes.c_ulong(flags), options.encode() or None), f"mount {target}")
+
+
+def make_read_only(target: Path, *, with_all_below: bool = True) -> None:
+    """Make a mount read-only, without devices and set-uid programs."""
+    attributes = _MOUNT_ATTR_RDONLY | _MOUNT_ATTR_NOSUID | _MOUNT_ATTR_NODEV
+    given = struct.pack("QQQQ", attributes, 0, 0, 0)
+    flags = _AT_RECURSIVE if with_all_below else 0
+    path = os.fsencode(target)
+    done = _libc.syscall(_MOUNT_SETATTR, _AT_FDCWD, path, flags, given, ctypes.c_size_t(len(given)))
+    _check(done, f"mount_setattr {target}")
+
+
+def change_root(root: Path) -> None:
+    """Make `root`, which is a mount, the root of this mount namespace, and let the old one go."""
+    os.chdir(root)
+    _check(_libc.pivot_root(b".", b"."), "pivot_root")
+    _check(_libc.umount2(b".", _MNT_DETACH), "umount2")
+    os.chdir("/")
+
+
+def adopt_orphans() -> None:
+    """Become the parent of all descendants whose own parent dies."""
+    _check(_libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0), "prctl")
+
+
+def die_with_parent(sign: int) -> None:
+    """Get `sign` when the parent dies. A change of identity clears it."""
+    _check(_libc.prctl(_PR_SET_PDEATHSIG, int(sign), 0, 0, 0), "prctl")
+
+
+def give_up_privileges() -> None:
+    """Gain none by executing a program, from now on and for all children."""
+    _check(_libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0), "prctl")
+
+
+def raise_loopback() -> None:
+    """Put `lo` of this network namespace up."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        asked = struct.pack("16sH14x", b"lo", 0)
+        flags = struct.unpack("16sH14x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, asked))[1]
+        fcntl.ioctl(any_socket, _SIOCSIFFLAGS, struct.pack("16sH14x", b"lo", flags | _IFF_UP))
+
+
+def _check(result: int, call: str) -> None:
+    if result != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, f"{call}: {os.strerror(error)}")

@@ -1,0 +1,271 @@
+"""The warden of one run: starts it in its room, holds it to its bounds, and writes down how it ended.
+
+`python -m kleinkram.runner.process.warden FOLDER`, where `FOLDER/work.json` says what to do. It says `started` on
+stdout once the command runs, keeps `usage.json` up to date, and leaves `ending.json`, whole or not at all. SIGTERM ends
+the run. If it is killed, so is all that it started. Imports nothing but Python's own library, since runs wait for it.
+"""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from kleinkram.runner.process import kernel
+from kleinkram.runner.process.room import Room, bound, run_in
+
+WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
+_LOOK_EVERY_S = 0.1
+_MEASURE_DISK_EVERY_S = 1.0
+_TELL_USAGE_EVERY_S = 1.0
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_NOT_FOUND = "not found: "
+
+
+@dataclass(frozen=True)
+class _Use:
+    cpu_s: float = 0.0
+    memory_bytes: int = 0
+    peak_memory_bytes: int = 0
+    read_bytes: int = 0
+    written_bytes: int = 0
+
+
+class Warden:
+    """Watches one run from start to end."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._work: dict[str, Any] = json.loads((folder / WORK).read_text())
+        self._deadline = time.monotonic() + self._work["time_s"]
+        self._use = _Use()
+        self._why: tuple[str, str] | None = None
+        self._kill_at: float | None = None
+        self._disk_at = self._told_at = 0.0
+        self._log_left: int = self._work["log_bytes"]
+
+    def run(self) -> None:
+        """Run it to its end."""
+        kernel.adopt_orphans()
+        signal.signal(signal.SIGTERM, lambda *_: self._end("cancelled", "It was cancelled."))
+        output, output_end = os.pipe()
+        failed, failed_end = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os._exit(self._begin(output_end, failed_end))
+        os.close(output_end)
+        os.close(failed_end)
+        failure = _read_all(failed)
+        if not failure:
+            os.write(1, b"started\n")
+        os.close(1)
+        code = self._watch(pid, output)
+        self._leave(failure.decode(errors="replace"), code)
+
+    def _begin(self, output: int, failed: int) -> int:
+        """In the child: become the command, and return its exit code."""
+        try:
+            os.setsid()
+            nothing = os.open(os.devnull, os.O_RDONLY)
+            os.dup2(nothing, 0)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            Path("/proc/self/oom_score_adj").write_text("1000")
+            work = self._work
+            room = Room(self._folder, work["has_network"], work["disk_bytes"], work["uid"])
+            if work["is_isolated"]:
+                return run_in(room, work["command"], work["environment"], failed)
+            kernel.die_with_parent(signal.SIGKILL)
+            bound(room)
+            os.chdir(self._folder / "tmp")
+            os.execvpe(work["command"][0], work["command"], work["environment"])  # noqa: S606
+        except OSError as error:
+            kind = _NOT_FOUND if isinstance(error, FileNotFoundError) else ""
+            os.write(failed, f"{kind}{error}".encode())
+        return 127
+
+    def _watch(self, pid: int, output: int) -> int:
+        log = os.open(self._folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        code: int | None = None
+        is_open = True
+        while code is None or is_open:
+            if is_open and select.select([output], [], [], _LOOK_EVERY_S if code is None else 0)[0]:
+                is_open = self._take_output(output, log)
+            elif code is not None:
+                break  # what still holds the pipe is not of this run any more
+            elif not is_open:
+                time.sleep(_LOOK_EVERY_S)
+            if code is None:
+                self._look()
+                ended, status = os.waitpid(pid, os.WNOHANG)
+                code = os.waitstatus_to_exitcode(status) if ended else None
+        for each in _descendants(os.getpid()):
+            _kill(each, signal.SIGKILL)
+        os.close(log)
+        return code if code >= 0 else 128 - code
+
+    def _take_output(self, output: int, log: int) -> bool:
+        data = os.read(output, 65536)
+        if self._log_left > 0:
+            os.write(log, data[: self._log_left])
+            self._log_left -= len(data)
+            if self._log_left <= 0:
+                os.write(log, b"\n[kleinkram] the log is full: what comes after this is not kept\n")
+        return bool(data)
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        self._measure()
+        if self._use.memory_bytes > self._work["memory_bytes"]:
+            self._end("memory", f"It used more memory than its {_mb(self._work['memory_bytes'])}.", grace_s=0)
+        if now > self._deadline:
+            self._end("time", f"It ran for longer than its {self._work['time_s']} s.")
+        if now >= self._disk_at:
+            self._look_at_disk()
+            # A look at very many files takes long: no more than a tenth of the time.
+            self._disk_at = time.monotonic() + max(_MEASURE_DISK_EVERY_S, 10 * (time.monotonic() - now))
+        if self._kill_at is not None and now >= self._kill_at:
+            for each in _descendants(os.getpid()):
+                _kill(each, signal.SIGKILL)
+
+    def _look_at_disk(self) -> None:
+        if sum(_size_of(self._folder / name) for name in ("out", "tmp")) > self._work["disk_bytes"]:
+            self._end("disk", f"It wrote more than its {_mb(self._work['disk_bytes'])} of disk.", grace_s=0)
+
+    def _end(self, why: str, message: str, *, grace_s: float | None = None) -> None:
+        """Have the run ended; the first reason counts."""
+        if self._why is not None:
+            return
+        self._why = (why, message)
+        self._kill_at = time.monotonic() + (self._work["grace_s"] if grace_s is None else grace_s)
+        if grace_s is None:
+            for each in _descendants(os.getpid()):
+                _kill(each, signal.SIGTERM)
+
+    def _measure(self) -> None:
+        used = _sum([_use_of(pid) for pid in _descendants(os.getpid())])
+        peak = max(self._use.peak_memory_bytes, used.memory_bytes)
+        # What a process used is its parent's when it ends, a moment later: figures never fall.
+        self._use = replace(
+            used,
+            peak_memory_bytes=peak,
+            cpu_s=max(used.cpu_s, self._use.cpu_s),
+            read_bytes=max(used.read_bytes, self._use.read_bytes),
+            written_bytes=max(used.written_bytes, self._use.written_bytes),
+        )
+        if time.monotonic() >= self._told_at:
+            self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
+            _write(self._folder / USAGE, vars(self._use))
+
+    def _leave(self, failure: str, code: int) -> None:
+        self._look_at_disk()
+        used = os.times()
+        self._use = replace(self._use, cpu_s=max(self._use.cpu_s, used.children_user + used.children_system))
+        _write(self._folder / USAGE, vars(self._use))
+        reason, message = self._why or _told_by(failure, code)
+        exit_code = None if failure or self._why else code
+        _write(self._folder / ENDING, {"reason": reason, "message": message, "exit_code": exit_code})
+
+
+def _told_by(failure: str, code: int) -> tuple[str, str]:
+    if failure.startswith(_NOT_FOUND):
+        return "command_not_found", f"The command could not be started: {failure.removeprefix(_NOT_FOUND)}."
+    if failure:
+        return "not_possible", f"It could not be started here: {failure}."
+    if code == 0:
+        return "done", ""
+    if code > 128 and code - 128 in {*signal.Signals}:
+        return "signal", f"It was ended by the signal {signal.Signals(code - 128).name}."
+    return "exit_code", f"It ended with the exit code {code}."
+
+
+def _mb(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:,.0f} MB"
+
+
+def _read_all(descriptor: int) -> bytes:
+    pieces = []
+    while piece := os.read(descriptor, 4096):
+        pieces.append(piece)
+    os.close(descriptor)
+    return b"".join(pieces)
+
+
+def _kill(pid: int, sign: signal.Signals) -> None:
+    try:
+        os.kill(pid, sign)
+    except ProcessLookupError:
+        return
+
+
+def _descendants(pid: int) -> list[int]:
+    found: list[int] = []
+    waiting = [pid]
+    while waiting:
+        each = waiting.pop()
+        try:
+            tasks = list(Path(f"/proc/{each}/task").iterdir())
+            children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
+        except OSError:
+            continue
+        found += children
+        waiting += children
+    return found
+
+
+def _use_of(pid: int) -> _Use:
+    """What a process uses, and used those of its children that are over. Nothing where it is over itself."""
+    try:
+        # The name, which stands in parentheses, may hold anything.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        status = Path(f"/proc/{pid}/status").read_text()
+        traffic = Path(f"/proc/{pid}/io").read_text()
+    except OSError:
+        return _Use()
+    said = dict(line.split(":", 1) for line in (status + traffic).splitlines() if ":" in line)
+    memory = sum(int(said.get(name, "0 kB").split()[0]) for name in ("RssAnon", "RssShmem"))
+    ticks = sum(map(int, fields[11:15]))
+    return _Use(ticks / _TICKS_PER_S, memory * 1024, 0, int(said["read_bytes"]), int(said["write_bytes"]))
+
+
+def _sum(uses: list[_Use]) -> _Use:
+    return _Use(
+        sum(use.cpu_s for use in uses),
+        sum(use.memory_bytes for use in uses),
+        0,
+        sum(use.read_bytes for use in uses),
+        sum(use.written_bytes for use in uses),
+    )
+
+
+def _size_of(folder: Path) -> int:
+    """What files below a folder take of the disk; links are not followed."""
+    total = 0
+    waiting = [str(folder)]
+    while waiting:
+        # What is gone by now takes nothing.
+        with contextlib.suppress(OSError), os.scandir(waiting.pop()) as entries:
+            for entry in entries:
+                total += entry.stat(follow_symlinks=False).st_blocks * 512
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+    return total
+
+
+def _write(path: Path, facts: dict[str, Any]) -> None:
+    """Write a file whole, or not at all."""
+    aside = path.with_name(path.name + ".new")
+    with aside.open("w") as stream:
+        json.dump(facts, stream)
+        stream.flush()
+        os.fsync(stream.fileno())
+    aside.replace(path)
+
+
+if __name__ == "__main__":
+    Warden(Path(sys.argv[1])).run()

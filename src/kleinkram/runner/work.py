@@ -1,0 +1,112 @@
+"""What an executor is asked to do, and how it ends. The only words that runner and executors share.
+
+A run has a folder, which outlives the process of the runner:
+
+    in/       what the run is given; read-only for it
+    out/      what it leaves
+    tmp/      its scratch
+    log       what it wrote to stdout and stderr, up to `LOG_BYTES`
+    ...       and what the executor keeps beside
+"""
+
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.runs import EndReason
+
+LOG_BYTES = 100 * 2**20
+GRACE_S = 3.0
+
+
+@dataclass(frozen=True)
+class Work:
+    """One attempt at a run. `key` is its name on this machine: unique among all attempts, of letters, digits, `-`.
+
+    `command` empty: the image's own.
+    """
+
+    key: str
+    folder: Path
+    command: Sequence[str]
+    image: str | None
+    resources: Resources
+    network: Network
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run came to its end: why, with which exit code where the command had one, and what people are told."""
+
+    reason: EndReason
+    message: str
+    exit_code: int | None = None
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen."""
+
+    cpu_s: float
+    memory_bytes: int
+    peak_memory_bytes: int
+    read_bytes: int
+    written_bytes: int
+
+
+class Isolation(str, enum.Enum):
+    """How well a run is kept away from its machine and from others."""
+
+    container = "container"
+    namespaces = "namespaces"
+    none = "none"
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What an executor can do. `images`: run container images, not only scripts."""
+
+    isolation: Isolation
+    images: bool
+    networks: frozenset[Network]
+    gpus: bool
+    bounds_memory: bool
+
+
+class CannotStart(Exception):
+    """A run could not be started, for a reason that another attempt here would meet again."""
+
+    def __init__(self, ending: Ending) -> None:
+        super().__init__(ending.message)
+        self.ending = ending
+
+
+class Executor(Protocol):
+    """Starts runs, watches them, ends them, and finds them again after a restart of the runner."""
+
+    @property
+    def abilities(self) -> Abilities:
+        """What it can do on this machine."""
+
+    def start(self, work: Work) -> None:
+        """Start a run and return while it lasts.
+
+        Raises:
+            CannotStart: it cannot be started.
+        """
+
+    def wait(self, work: Work, timeout_s: float) -> Ending | None:
+        """Return how a run ended, or None if it goes on for longer than `timeout_s`."""
+
+    def stop(self, work: Work) -> None:
+        """Ask a run to end, and kill it `GRACE_S` later; return at once. Nothing happens to one that is over."""
+
+    def usage(self, work: Work) -> Usage | None:
+        """Return what a run uses, or None where it is over or unknown."""
+
+    def remove(self, work: Work) -> None:
+        """Kill what is left of a run and forget it; its folder stays."""

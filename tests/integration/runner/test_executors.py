@@ -1,0 +1,255 @@
+"""What every executor promises: a run gets its folders and nothing else, is held to its bounds, and its end is told."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.process import executor as process_executor
+from kleinkram.runner.work import GRACE_S, CannotStart, Isolation
+from tests.integration.runner.conftest import Bench, log_of
+
+LASTING = "import time; print('ready', flush=True); time.sleep(60)"
+
+
+@pytest.fixture
+def isolated(bench: Bench) -> Bench:
+    if bench.executor.abilities.isolation is Isolation.none:
+        pytest.skip("this kernel gives no namespaces to this user")
+    return bench
+
+
+def until_said(bench: Bench, text: str, words: str) -> None:
+    until = time.monotonic() + 20
+    while words not in log_of(bench.made[-1]):
+        assert time.monotonic() < until, f"never said {words!r}: {text}"
+        time.sleep(0.02)
+
+
+def test_reads_in_and_leaves_out(isolated: Bench) -> None:
+    work = isolated.work(
+        "import os, pathlib\n"
+        "pathlib.Path('/out/copy').write_text(pathlib.Path('/in/drive.txt').read_text())\n"
+        "pathlib.Path('/tmp/scratch').write_text('x')\n"
+        "print('to stdout'); os.write(2, b'to stderr')"
+    )
+    (work.folder / "in" / "drive.txt").write_text("bytes of a drive")
+    isolated.executor.start(work)
+    ending = isolated.end_of(work)
+    assert (ending.reason, ending.exit_code) == (EndReason.done, 0)
+    assert (work.folder / "out" / "copy").read_text() == "bytes of a drive"
+    assert {"to stdout", "to stderr"} <= set(re.findall(r"to \w+", log_of(work)))
+
+
+@pytest.mark.parametrize(
+    "path", ["/in/drive.txt", "/in/other", "/usr/other", "/etc/other", "/other", "/proc/sys/vm/swappiness"]
+)
+def test_nothing_else_can_be_written(isolated: Bench, path: str) -> None:
+    work = isolated.work(f"open({path!r}, 'a').write('1')")
+    (work.folder / "in" / "drive.txt").write_text("bytes of a drive")
+    isolated.executor.start(work)
+    ending = isolated.end_of(work)
+    assert (ending.reason, ending.exit_code) == (EndReason.exit_code, 1)
+    assert re.search("Read-only|Permission|denied", log_of(work))
+    assert (work.folder / "in" / "drive.txt").read_text() == "bytes of a drive"
+
+
+def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
+    secret = isolated.folder / "credentials.json"
+    secret.write_text("a token")
+    work, ending = isolated.run(
+        "import os, pathlib\n"
+        f"print(pathlib.Path({str(secret)!r}).exists(), pathlib.Path({str(isolated.folder)!r}).exists())\n"
+        "print(sorted(os.environ))\n"
+        "print(max(int(name) for name in os.listdir('/proc') if name.isdigit()))"
+    )
+    assert ending.reason is EndReason.done
+    seen, environment, processes = log_of(work).splitlines()
+    assert seen == "False False"
+    assert set(re.findall(r"\w+", environment)) <= {"HOME", "LANG", "LC_CTYPE", "PATH", "PYTHONUNBUFFERED", "TMPDIR"}
+    assert int(processes) < 10
+
+
+def test_without_network_nothing_answers(isolated: Bench) -> None:
+    with socket.create_server(("0.0.0.0", 0)) as decoy:
+        port = decoy.getsockname()[1]
+        work, ending = isolated.run(
+            "import socket\n"
+            f"for host in ('127.0.0.1', {socket.gethostname()!r}, '192.0.2.1'):\n"
+            f"    try: socket.create_connection((host, {port}), 1)\n"
+            "    except OSError as error: print('none')\n"
+        )
+        assert (ending.reason, log_of(work).split()) == (EndReason.done, ["none"] * 3)
+        decoy.settimeout(0)
+        with pytest.raises(BlockingIOError):
+            decoy.accept()
+
+
+def test_an_open_network_is_the_machines(bench: Bench) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as there:
+        port = there.getsockname()[1]
+        work = bench.work(f"import socket; socket.create_connection(('127.0.0.1', {port}), 5)", network=Network.open)
+        bench.executor.start(work)
+        assert bench.end_of(work).reason is EndReason.done
+
+
+@pytest.mark.parametrize("code", [1, 3, 255])
+def test_exit_codes_are_kept(bench: Bench, code: int) -> None:
+    _, ending = bench.run(f"raise SystemExit({code})")
+    assert (ending.reason, ending.exit_code) == (EndReason.exit_code, code)
+    assert str(code) in ending.message
+
+
+def test_a_crash_is_told(bench: Bench) -> None:
+    _, ending = bench.run("import os; os.kill(os.getpid(), 11)")
+    assert (ending.reason, ending.exit_code) == (EndReason.signal, 139)
+    assert "SIGSEGV" in ending.message
+
+
+def test_a_command_that_is_not_there(bench: Bench) -> None:
+    with pytest.raises(CannotStart, match="/usr/bin/nonsense") as caught:
+        bench.executor.start(bench.work(["/usr/bin/nonsense"]))
+    assert caught.value.ending.reason is EndReason.command_not_found
+
+
+def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
+    _, ending = bench.run(
+        "import time\nheld = []\nwhile True: held.append(bytearray(b'x' * 5_000_000)); time.sleep(0.01)",
+        memory_bytes=100_000_000,
+    )
+    assert (ending.reason, ending.exit_code) == (EndReason.memory, None)
+    assert "100 MB" in ending.message
+
+
+@pytest.mark.parametrize("place", ["/out", "/tmp"])
+def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
+    _, ending = isolated.run(
+        f"with open('{place}/large', 'wb') as stream:\n    while True: stream.write(b'x' * 1_000_000)",
+        disk_bytes=20_000_000,
+    )
+    assert ending.reason is EndReason.disk
+    assert "20 MB" in ending.message
+
+
+def test_many_small_files_are_counted(isolated: Bench) -> None:
+    _, ending = isolated.run(
+        "import itertools\nfor n in itertools.count():\n    open(f'/out/{n}', 'wb').write(b'x' * 4096)",
+        disk_bytes=4_000_000,
+    )
+    assert ending.reason is EndReason.disk
+
+
+def test_too_long_ends_the_run(bench: Bench) -> None:
+    _, ending = bench.run(LASTING, time_s=1)
+    assert ending.reason is EndReason.time
+
+
+def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
+    _, ending = isolated.run("import os\nwhile True:\n    try: os.fork()\n    except OSError: pass", time_s=2)
+    assert ending.reason in {EndReason.time, EndReason.memory}
+
+
+def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
+    text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
+    work = bench.work(text)
+    bench.executor.start(work)
+    until_said(bench, text, "ready")
+    began = time.monotonic()
+    bench.executor.stop(work)
+    assert bench.end_of(work).reason is EndReason.cancelled
+    assert time.monotonic() - began < GRACE_S + 2
+
+
+def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
+    text = (
+        "import signal, sys, time\n"
+        "def end(*_): print('tidied', flush=True); sys.exit(0)\n"
+        "signal.signal(signal.SIGTERM, end); print('ready', flush=True); time.sleep(60)"
+    )
+    work = bench.work(text)
+    bench.executor.start(work)
+    until_said(bench, text, "ready")
+    bench.executor.stop(work)
+    assert bench.end_of(work).reason is EndReason.cancelled
+    assert "tidied" in log_of(work)
+    bench.executor.stop(work)
+
+
+def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_executor, "LOG_BYTES", 1_000_000)
+    work, ending = bench.run("while True: print('y' * 1000)", time_s=2)
+    assert ending.reason is EndReason.time
+    assert 1_000_000 <= (work.folder / "log").stat().st_size < 1_001_000
+    assert "the log is full" in log_of(work)
+
+
+def test_no_line_is_lost(bench: Bench) -> None:
+    work, ending = bench.run("for n in range(200_000): print(f'line {n} of a log')")
+    assert ending.reason is EndReason.done
+    assert log_of(work).splitlines() == [f"line {n} of a log" for n in range(200_000)]
+
+
+def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
+    work, ending = isolated.run(
+        "import os, time\n"
+        "if os.fork() == 0:\n    os.setsid()\n    time.sleep(1)\n    open('/out/late', 'w').write('x')\n"
+    )
+    assert ending.reason is EndReason.done
+    time.sleep(1.2)
+    assert not (work.folder / "out" / "late").exists()
+
+
+def test_found_again_by_another_runner(bench: Bench) -> None:
+    work = bench.work(LASTING)
+    bench.executor.start(work)
+    until_said(bench, LASTING, "ready")
+    other = bench.again()
+    assert other.wait(work, timeout_s=0.1) is None
+    other.stop(work)
+    ending = other.wait(work, timeout_s=10)
+    assert ending is not None
+    assert ending.reason is EndReason.cancelled
+
+
+def test_usage_is_told(bench: Bench) -> None:
+    text = "held = bytearray(b'x' * 60_000_000)\nn = sum(i * i for i in range(1_000_000))\nprint('ready', flush=True)\n"
+    work = bench.work(text + "import time; time.sleep(0.5)")
+    bench.executor.start(work)
+    assert bench.end_of(work).reason is EndReason.done
+    used = bench.executor.usage(work)
+    assert used is not None
+    assert used.peak_memory_bytes > 60_000_000
+    assert used.cpu_s > 0.05
+
+
+def test_killed_with_its_warden_it_is_lost_and_nothing_is_left(isolated: Bench) -> None:
+    work = isolated.work(LASTING)
+    isolated.executor.start(work)
+    until_said(isolated, LASTING, "ready")
+    warden = int(re.findall(r'"pid": (\d+)', (work.folder / "warden.json").read_text())[0])
+    left = [int(pid) for pid in Path(f"/proc/{warden}/task/{warden}/children").read_text().split()]
+    os.kill(warden, signal.SIGKILL)
+    assert isolated.end_of(work).reason is EndReason.lost
+    until = time.monotonic() + 5
+    while any(
+        Path(f"/proc/{pid}").exists() and "Z" not in Path(f"/proc/{pid}/stat").read_text().split()[2] for pid in left
+    ):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_no_image_without_an_engine(bench: Bench) -> None:
+    if bench.executor.abilities.images:
+        pytest.skip("this executor runs images")
+    work = bench.work(LASTING)
+    with pytest.raises(CannotStart, match="no image") as caught:
+        bench.executor.start(type(work)(**{**vars(work), "image": "lab/slam:1"}))
+    assert caught.value.ending.reason is EndReason.not_possible
