@@ -148,11 +148,12 @@ class NameUnusable(ClientError):
 
 @dataclass(eq=False)
 class PathsCollide(ClientError):
-    """{first!r} and {second!r} would both become {path!r}. Nothing was transferred; give them apart, or rename one."""
+    """{first!r} and {second!r} would both become {path!r}. Nothing was transferred; {remedy}."""
 
     path: str
     first: str
     second: str
+    remedy: str = "give them apart, or rename one"
 
 
 @dataclass(eq=False)

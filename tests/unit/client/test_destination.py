@@ -33,8 +33,17 @@ def test_nested_puts_project_and_mission_before_the_path(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("other", ["a", "a/b"])
 def test_two_files_for_one_place_name_both(tmp_path: Path, other: str) -> None:
-    with pytest.raises(PathsCollide, match=r"alps/day/a.*alps/night/|alps/night/.*alps/day/a"):
-        plan_download([file_read("a"), file_read(other, mission="night")], tmp_path)
+    files = [file_read("a"), file_read(other, mission="night")]
+    with pytest.raises(PathsCollide, match=r"(alps/day/a.*alps/night/|alps/night/.*alps/day/a).* --nested "):
+        plan_download(files, tmp_path)
+    assert len(plan_download(files, tmp_path, nested=True).targets) == 2
+
+
+def test_what_keeping_missions_apart_does_not_solve_does_not_name_it(tmp_path: Path) -> None:
+    files = [file_read("a"), file_read("a/b")]
+    with pytest.raises(PathsCollide) as caught:
+        plan_download([files[0], files[1].model_copy(update={"mission": files[0].mission})], tmp_path)
+    assert "--nested" not in str(caught.value)
 
 
 def test_links_inside_may_be_followed_and_links_out_may_not(tmp_path: Path) -> None:

@@ -52,17 +52,20 @@ def plan_download(files: Iterable[FileRead], dest: Path, *, nested: bool = False
             plan.left_out.append(error)
             continue
         if (other := places.setdefault(target.relative, target)) is not target:
-            raise _collision(target, other)
+            raise _collision(target, other, nested=nested)
         plan.targets.append(target)
     for target in plan.targets:
         for folder in PurePosixPath(target.relative).parents:
             if str(folder) in places:
-                raise _collision(target, places[str(folder)])
+                raise _collision(target, places[str(folder)], nested=nested)
     return plan
 
 
-def _collision(one: Target, other: Target) -> PathsCollide:
-    return PathsCollide(path=str(one.local), first=_place(other.file), second=_place(one.file))
+def _collision(one: Target, other: Target, *, nested: bool) -> PathsCollide:
+    collision = PathsCollide(path=str(one.local), first=_place(other.file), second=_place(one.file))
+    if not nested and one.file.mission.id != other.file.mission.id:
+        collision.remedy = "keep the missions apart with --nested (in the SDK nested=True), or download one at a time"
+    return collision
 
 
 def _place(file: FileRead) -> str:
