@@ -45,7 +45,7 @@ class Looks:
             DatabaseUnavailable: it could not be noted; so it is not shown either.
         """
         operation = admin.operation or ""
-        if not _is_a_look(operation):
+        if not is_a_look(operation):
             return
         level = (OPERATIONS[operation].right or Right.read).level
         if self._is_due((admin.person_id, of or operation, level)):
@@ -62,7 +62,8 @@ class Looks:
         return True
 
 
-def _is_a_look(operation: str) -> bool:
+def is_a_look(operation: str) -> bool:
+    """Say whether an operation that is read shows more to an admin than to others."""
     need = OPERATIONS[operation]
     return (need.on is not On.nothing or operation in _PEOPLE) and operation not in _BY_LINK
 

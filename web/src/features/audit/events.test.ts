@@ -43,6 +43,13 @@ it("says what was done, and the name of an act that it does not know", () => {
   expect(deedOf({ ...event, operation: "toString" })).toBe("toString");
 });
 
+it("says what an admin saw of the whole server", () => {
+  const look = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
+  expect(`${deedOf(look)} ${objectOf(look)}`).toBe("looked, as an admin, at the list of people");
+  expect(objectOf({ ...look, noun: "project", noun_name: "list_people" })).toBe("list_people");
+  expect(objectOf({ ...look, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
+});
+
 it("finds parts of names, and leaves patterns alone", () => {
   expect([globOf(" ada "), globOf("ada*"), globOf(" ")]).toEqual(["*ada*", "ada*", ""]);
 });

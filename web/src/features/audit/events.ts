@@ -48,11 +48,17 @@ export function doerOf(event: AuditEvent): string {
 
 /** Returns what was done, as it follows who did it. */
 export function deedOf(event: AuditEvent): string {
-  return Object.hasOwn(texts.operations, event.operation) ? (texts.operations[event.operation] ?? "") : event.operation;
+  return worded(texts.operations, event.operation);
+}
+
+/** Returns the words for a name; the name itself where there are none, as of a newer server. */
+function worded(words: Readonly<Record<string, string>>, name: string): string {
+  return Object.hasOwn(words, name) ? (words[name] ?? "") : name;
 }
 
 /** Returns the name of what it was done to; nothing where that is whoever did it, as who signs in. */
 export function objectOf(event: AuditEvent): string {
+  if (event.operation === "admin.look" && event.noun === "server") return worded(texts.looks, event.noun_name);
   return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
 }
 
