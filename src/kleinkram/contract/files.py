@@ -224,12 +224,20 @@ class FileFilter(BaseModel):
     without: Terms = []
 
 
+class FetchPurpose(str, enum.Enum):
+    """What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long."""
+
+    download = "download"
+    look = "look"
+
+
 class DownloadRequest(BaseModel):
-    """Files to fetch."""
+    """Files to fetch, or only to look into; the record says which."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
+    purpose: FetchPurpose = FetchPurpose.download
 
 
 class DownloadLink(BaseModel):

@@ -21,7 +21,7 @@ WRITES: dict[str, set[str]] = {
     "update_mission": {"[mission.update]"},
     "move_mission": {"mission.leave", "mission.arrive"},
     "delete_mission": {"[mission.delete]"},
-    "download_files": {"file.download"},
+    "download_files": {"file.download", "[file.look]"},
     "prove_file": {"file.prove"},
     "update_file": {"[file.update]"},
     "label_files": {"file.update"},

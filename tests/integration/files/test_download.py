@@ -63,6 +63,13 @@ def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: s
     assert [[event["operation"] for event in api.events(each)] for each in ids] == [["file.download"]] * 3
 
 
+def test_a_look_into_a_file_is_recorded_as_one(api: Api, sample: Sample, mission: str) -> None:
+    file_id = sample.file(mission, "a.mcap")
+    api.post("/files/download", {"file_ids": [file_id], "purpose": "look"}).ok()
+    api.post("/files/download", {"file_ids": [file_id], "purpose": "download"}).ok()
+    assert sorted(event["operation"] for event in api.events(file_id)) == ["file.download", "file.look"]
+
+
 @pytest.mark.parametrize("state", ["lost", "corrupt"])
 def test_bytes_that_are_not_what_they_were_are_not_given_out(
     api: Api, sample: Sample, mission: str, state: str

@@ -645,7 +645,7 @@ export interface paths {
         put?: never;
         /**
          * Download Files
-         * @description Return where to read the bytes of files; who asked is noted.
+         * @description Return where to read the bytes of files; who asked is noted, and for what.
          */
         post: operations["download_files"];
         delete?: never;
@@ -2284,11 +2284,13 @@ export interface components {
         };
         /**
          * DownloadRequest
-         * @description Files to fetch.
+         * @description Files to fetch, or only to look into; the record says which.
          */
         DownloadRequest: {
             /** File Ids */
             file_ids: string[];
+            /** @default download */
+            purpose: components["schemas"]["FetchPurpose"];
         };
         /**
          * ErrorCode
@@ -2359,6 +2361,12 @@ export interface components {
             /** Ref */
             ref: string | null;
         };
+        /**
+         * FetchPurpose
+         * @description What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long.
+         * @enum {string}
+         */
+        FetchPurpose: "download" | "look";
         /**
          * FieldProblem
          * @description One thing wrong with one field of a request, a metadata document or a field definition.

@@ -11,6 +11,7 @@ const operations: Readonly<Record<string, string>> = {
   "file.download": "downloaded",
   "file.leave": "moved away",
   "file.link": "added, from bytes already here,",
+  "file.look": "looked into",
   "file.mend": "mended",
   "file.prove": "had proven",
   "file.restore": "put back",

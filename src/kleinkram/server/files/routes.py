@@ -42,8 +42,9 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, 
 
 @router.post("/files/download", operation_id="download_files")
 async def download_files(wanted: DownloadRequest, site: CurrentSite, actor: CurrentActor) -> DownloadLinks:
-    """Return where to read the bytes of files; who asked is noted."""
-    return DownloadLinks(items=await service.link_files(site, actor, file_ids=wanted.file_ids))
+    """Return where to read the bytes of files; who asked is noted, and for what."""
+    links = await service.link_files(site, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
+    return DownloadLinks(items=links)
 
 
 @router.post("/files/labels", operation_id="label_files")

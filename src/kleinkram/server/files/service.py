@@ -11,6 +11,7 @@ from kleinkram.contract.errors import FileUnavailable, NameTaken, NotFound, Path
 from kleinkram.contract.files import (
     BlobState,
     DownloadLink,
+    FetchPurpose,
     FileFilter,
     FileRead,
     FileSort,
@@ -36,6 +37,7 @@ from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+_FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
 
 
 async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileRead]:
@@ -177,8 +179,10 @@ async def check_path_free(
         raise PathConflict(path=path, other=other)
 
 
-async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID]) -> list[DownloadLink]:
-    """Return where to read files, in the order asked, and note who fetched them.
+async def link_files(
+    site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID], purpose: FetchPurpose
+) -> list[DownloadLink]:
+    """Return where to read files, in the order asked, and note who fetched them, or looked into them.
 
     Raises:
         NotFound: one of them is not there, or not for this actor.
@@ -189,7 +193,7 @@ async def link_files(site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID])
         for row in rows:
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
-        await record_all(db, actor, [_event("file.download", row) for row in rows])
+        await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
         await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(site, row) for row in rows]
 

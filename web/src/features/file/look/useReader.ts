@@ -15,9 +15,9 @@ export interface FileReader {
   readonly bytesRead: Ref<number>;
 }
 
-/** Asks the server where the bytes of a file are read for a while. */
-export async function addressOf(fileId: string): Promise<Address> {
-  const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId] } }));
+/** Asks the server where the bytes of a file are read for a while; its record says what for. */
+export async function addressOf(fileId: string, purpose: "download" | "look"): Promise<Address> {
+  const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose } }));
   const [link] = items;
   if (link === undefined) throw new ReadFailure("link_refused");
   return { url: link.url, expiresAtMs: Date.parse(link.expires_at) };
@@ -34,7 +34,7 @@ export function useReader(file: File, format: ReadableFormat): FileReader {
     file: { format, sizeBytes: file.size_bytes },
     address: async () => {
       try {
-        return await addressOf(file.id);
+        return await addressOf(file.id, "look");
       } catch (thrown) {
         throw thrown instanceof ReadFailure ? thrown : new ReadFailure("link_refused", toProblem(thrown).code);
       }
