@@ -38,13 +38,17 @@ export interface OpenDraft extends Draft {
   clear(): void;
 }
 
-/** Return a draft; each place where one chooses files has its own. */
-export function openDraft(): OpenDraft {
+/** Return a draft that begins with a layout; each place where one chooses files has its own. */
+export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
   let all: Chosen = { found: [], unreadable: [] };
+  /** Counts what was asked for: an answer to what is no longer wanted comes too late, and is dropped. */
+  let turn = 0;
 
   async function plan(): Promise<void> {
+    const mine = (turn += 1);
     const areInFolders = all.found.every(({ path }) => path.includes("/"));
     const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch });
+    if (mine !== turn) return;
     const unreadable = all.unreadable.map((path): LeftOut => ({ path, reason: "unreadable", detail: "" }));
     const leftOut = [...planned.leftOut, ...unreadable];
     const isEmpty = planned.files.length === 0 && leftOut.length === 0;
@@ -60,18 +64,23 @@ export function openDraft(): OpenDraft {
 
   const made: OpenDraft = shallowReactive({
     ...BEGINNING,
+    layout,
     take: (files: Iterable<File>) => take(chosen(files)),
     drop: async (transfer: DataTransfer) => {
       const entries = entriesOf(transfer);
+      const mine = (turn += 1);
       Object.assign(made, { isLooking: true, seen: 0 });
       const { found, unreadable } = await walk(entries, (count) => (made.seen = count));
-      await take(found, unreadable);
+      if (mine === turn) await take(found, unreadable);
     },
-    arrange: async (layout: Layout) => {
-      made.layout = layout;
+    arrange: async (wanted: Layout) => {
+      Object.assign(made, { layout: wanted, isLooking: true });
       await plan();
     },
-    clear: () => void Object.assign(made, BEGINNING),
+    clear: () => {
+      turn += 1;
+      Object.assign(made, BEGINNING, { layout });
+    },
   });
   return made;
 }

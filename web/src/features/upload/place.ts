@@ -1,6 +1,6 @@
 // Where files go: a project and a mission that are there, or made for it. What was typed stays until it is sent.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
-import { computed, type ComputedRef, reactive, type Ref, ref, shallowReactive, watch } from "vue";
+import { computed, type ComputedRef, onScopeDispose, reactive, type Ref, ref, shallowReactive, watch } from "vue";
 import { useRoute } from "vue-router";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
@@ -57,13 +57,13 @@ const NO_FIELDS: MetadataFields = { fields: [], undeclared: "accept" };
 /** What the address named, which may not be among those listed. */
 const known = shallowReactive<{ project: Named | null; mission: Named | null }>({ project: null, mission: null });
 
-/** Choose what the address names: a mission, or a project for a new one. */
-async function preselect(missionId: string, projectId: string): Promise<void> {
+/** Choose what the address names: a mission, or a project for a new one. `signal`: the page was left, and chooses nothing. */
+async function preselect(missionId: string, projectId: string, signal: AbortSignal): Promise<void> {
   if (missionId !== "") {
-    const mission = await call<Mission>(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: missionId } } }));
+    const mission = await call<Mission>(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: missionId } }, signal }));
     choose(mission.project, mission);
   } else if (projectId !== "") {
-    const project = await call<Project>(api.GET("/api/v1/projects/{project_id}", { params: { path: { project_id: projectId } } }));
+    const project = await call<Project>(api.GET("/api/v1/projects/{project_id}", { params: { path: { project_id: projectId } }, signal }));
     choose(project, null);
   }
 }
@@ -87,7 +87,9 @@ export function usePlace(): PlaceChoice {
   const problem = ref<Problem | null>(null);
   const asked = useRoute().query;
   const [mission, project] = [asked.mission, asked.project].map((each) => (typeof each === "string" ? each : ""));
-  const isPreselected = preselect(mission ?? "", project ?? "").catch((thrown: unknown) => {
+  const left = new AbortController();
+  onScopeDispose(() => left.abort());
+  const isPreselected = preselect(mission ?? "", project ?? "", left.signal).catch((thrown: unknown) => {
     problem.value = toProblem(thrown);
   });
   const isThere = computed(() => form.projectId !== "" && form.projectId !== NEW);

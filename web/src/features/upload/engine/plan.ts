@@ -9,6 +9,7 @@ import { pathProblem } from "@/texts/upload";
 const ACTIVE_SUFFIX = ".active";
 const RECENT_MS = 10_000;
 const WATCH_MS = 1_000;
+const BREATH_MS = 20;
 
 /** What planning needs of the world: the time, and a way to wait. */
 export interface Watch {
@@ -34,12 +35,18 @@ export function sameIdentity(one: Identity, other: Identity): boolean {
  * Return what uploading these means, sorted by path, so that the files of one recording are sent one after the other.
  *
  * Files that are still being recorded are left out: those whose name ends in `.active`, and those that grow while they
- * are watched for a second (only files modified in the last seconds are watched).
+ * are watched for a second (only files modified in the last seconds are watched). A browser asks the disk for the size
+ * of each chosen file, so the page is let do other things in between.
  */
 export async function planUpload(found: readonly Found[], { layout, watch }: PlanOptions): Promise<UploadPlan> {
   const leftOut: LeftOut[] = [];
   const byKey = new Map<string, { found: Found; planned: PlannedFile }>();
+  let breathedMs = watch.now();
   for (const each of found) {
+    if (watch.now() - breathedMs > BREATH_MS) {
+      await watch.wait(0);
+      breathedMs = watch.now();
+    }
     const planned = judged(each, layout === "tree" ? each.path : withoutRoot(each.path), leftOut);
     if (planned === null) continue;
     const key = nameKey(planned.path);
@@ -84,8 +91,9 @@ function judged(found: Found, path: string, leftOut: LeftOut[]): PlannedFile | n
   };
   if (typeof checked !== "string") return leave("name", said(checked));
   if (name.endsWith(ACTIVE_SUFFIX)) return leave("active");
-  if (found.file.size > MAX_FILE_BYTES) return leave("too_large");
-  return { path: checked, file: found.file, identity: identityOf(found.file) };
+  const identity = identityOf(found.file);
+  if (identity.sizeBytes > MAX_FILE_BYTES) return leave("too_large");
+  return { path: checked, file: found.file, identity };
 }
 
 function said(problem: PathProblem): string {
