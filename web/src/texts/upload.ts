@@ -27,6 +27,7 @@ const failures: Readonly<Record<LocalFailure, (detail: string) => string>> = {
   file_changed: () => "It was written to, moved or deleted after you chose it. Choose it again once nothing writes to it.",
   file_unreadable: () => "The disk does not give its bytes. Look at the disk or its cable, then try again.",
   transfer_failed: (detail) => `The store would not take it (${detail}). Try again; if it stays, tell an admin.`,
+  worker_ended: () => "The part of this page that uploads has ended. Reload the page, then choose the folder again.",
 };
 
 /** What the server's failures mean for somebody who uploads. */

@@ -93,6 +93,7 @@ function ask(command: Command): void {
   if (worker === null) {
     worker = new Worker(new URL("./engine/upload.worker.ts", import.meta.url), { type: "module" });
     worker.addEventListener("message", ({ data }: MessageEvent<Report>) => note(data));
+    worker.addEventListener("error", broke);
   }
   worker.postMessage(command);
 }
@@ -111,6 +112,16 @@ function note({ id, phase, failure, snapshot }: Report): void {
   }
   if (phase === "signed_out" && !wasSignedOut) void signInAgain().then((isSignedIn) => (isSignedIn ? goOn(id) : pause(id)));
   if (!isActive(run)) ended(run);
+}
+
+/** The worker is gone, or never came: as where the server has another version since, and no longer this one's files. */
+function broke(): void {
+  worker?.terminate();
+  worker = null;
+  for (const run of activeRuns.value) {
+    Object.assign(run, { phase: "failed", failure: { kind: "worker_ended", detail: "" }, further: [] });
+    ended(run);
+  }
 }
 
 function ended(run: Run): void {

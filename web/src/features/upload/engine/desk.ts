@@ -56,10 +56,17 @@ export class Desk {
 
   /** Upload files into a mission, after what is being uploaded into it already; resolves when it is over. */
   async start(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
-    await this.parts.journal.begin(
-      head,
-      files.map(({ path, identity }) => ({ id: head.id, path, ...identity, state: "waiting", uploadId: null, sha256: null })),
-    );
+    try {
+      await this.parts.journal.begin(
+        head,
+        files.map(({ path, identity }) => ({ id: head.id, path, ...identity, state: "waiting", uploadId: null, sha256: null })),
+      );
+    } catch (error) {
+      const ledger = new Ledger(files);
+      ledger.leave();
+      this.parts.report({ id: head.id, phase: "failed", failure: asFailure(error), snapshot: ledger.snapshot(this.parts.clock.now()) });
+      return;
+    }
     const before = this.ends.get(head.id) ?? Promise.resolve();
     const end = before.then(() => this.run(head, files));
     this.ends.set(head.id, end);

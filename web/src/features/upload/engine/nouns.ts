@@ -60,7 +60,7 @@ export interface UploadPlan {
 }
 
 /** Failures that the browser's side of an upload has a name for; all others are the server's, by their code. */
-export type LocalFailure = "file_changed" | "file_unreadable" | "transfer_failed";
+export type LocalFailure = "file_changed" | "file_unreadable" | "transfer_failed" | "worker_ended";
 
 /** Why a file was not uploaded: the server's problem, or one found here, with what completes its sentence. */
 export type Failure =

@@ -354,6 +354,14 @@ describe("a person", () => {
     expect(await journal.heads("ada")).toEqual([]);
   });
 
+  it("says that it failed where the browser has no room to remember it, and leaves all files to be tried again", async () => {
+    journal.begin = () => Promise.reject(new DOMException("no room", "QuotaExceededError"));
+    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    expect(last()).toMatchObject({ phase: "failed", failure: { detail: "no room" } });
+    expect(ends().get("a")?.state).toBe("left");
+    expect(house.files.size).toBe(0);
+  });
+
   it("adds files to an upload that runs: they come after it", async () => {
     const at = desk();
     await Promise.all([at.start(HEAD, [planned("a", bytesOf(5))]), at.start(HEAD, [planned("b", bytesOf(6))])]);
