@@ -11,12 +11,11 @@ const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 const PATIENCE_MS = 60_000;
 const MOST_TRIES = 4;
-const RULES = { type: "tag", values: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] };
-const COLOURS = { type: "rule", values: ["color-contrast"] };
+const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
 const WIDE = { width: 1440, height: 900 };
 const NARROW = { width: 360, height: 740 };
-// In an order that changes one thing at a time. What else axe looks at does not depend on colours.
-const LOOKS = [["desktop", "light", WIDE, RULES], ["phone", "light", NARROW, RULES], ["phone-dark", "dark", NARROW, COLOURS], ["desktop-dark", "dark", WIDE, COLOURS]];
+// In an order that changes one thing at a time.
+const LOOKS = [["desktop", "light", WIDE], ["phone", "light", NARROW], ["phone-dark", "dark", NARROW], ["desktop-dark", "dark", WIDE]];
 
 // What a browser complains of where it was meant to be so: an answer that refuses, a window that it would not close.
 const NOTHING = /^$/;
@@ -70,17 +69,25 @@ async function settled(page, colorScheme) {
 }
 
 /** What axe finds; a page that is still being laid out anew is asked again. */
-async function ask(page, runOnly) {
+async function ask(page) {
   let found = [];
   for (let tries = 0; tries < MOST_TRIES; tries += 1) {
-    found = await page.evaluate(async (rules) => {
-      const { violations } = await globalThis.axe.run(document, { runOnly: rules, resultTypes: ["violations"] });
+    found = await page.evaluate(async (runOnly) => {
+      const { violations } = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
       return violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html} ${nodes[0]?.failureSummary}`);
-    }, runOnly);
+    }, RULES);
     if (found.length === 0) break;
     await settled(page, await page.evaluate(() => (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")));
   }
   return found;
+}
+
+/** Whether the chosen one of a page's tabs is not to be seen whole. */
+function isTabOut() {
+  const chosen = document.querySelector("main nav.tabs [aria-current]");
+  if (chosen === null) return false;
+  const [tab, room] = [chosen, chosen.parentElement].map((each) => each.getBoundingClientRect());
+  return tab.left < room.left - 1 || tab.right > room.right + 1;
 }
 
 /** What a page says: its text, and what stands in its fields. */
@@ -100,13 +107,14 @@ async function look(page, name, { path = null, ready = null, shows = [], allows 
   }
   await page.evaluate(axe);
   if (ready !== null) await page.locator(ready).first().waitFor();
-  for (const [kind, colorScheme, size, rules] of LOOKS) {
+  for (const [kind, colorScheme, size] of LOOKS) {
     await page.emulateMedia({ colorScheme });
     await page.setViewportSize(size);
     await settled(page, colorScheme);
-    for (const each of await ask(page, rules)) seen.axe.push(`${name} ${kind}: ${each}`);
+    for (const each of await ask(page)) seen.axe.push(`${name} ${kind}: ${each}`);
     const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
     if (over > 0) seen.wide.push(`${name} ${kind}: ${over} px`);
+    if (await page.evaluate(isTabOut)) seen.wide.push(`${name} ${kind}: the chosen tab is out of sight`);
     if (whole) {
       const height = await page.evaluate(() => document.documentElement.scrollHeight);
       await page.setViewportSize({ width: size.width, height: Math.min(TALLEST, Math.max(size.height, height)) });
