@@ -48,6 +48,12 @@ isMeantToFail = false;
 await dialog("Rename this mission").getByLabel("New name").fill("north ridge");
 await dialog("Rename this mission").getByRole("button", { name: "Save" }).click();
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
+
+// Complete, no longer, and complete again.
+await page.getByRole("button", { name: "Mark as complete" }).click();
+await page.getByRole("button", { name: "No longer complete" }).click();
+await page.getByRole("button", { name: "Mark as complete" }).waitFor();
+await page.reload();
 await page.getByRole("button", { name: "Mark as complete" }).click();
 await page.getByRole("button", { name: "No longer complete" }).waitFor();
 
@@ -140,6 +146,38 @@ await page.getByRole("row").filter({ hasText: "north ridge" }).getByRole("button
 await toast("north ridge is back.").getByRole("button", { name: "Open" }).click();
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
 seen.back = await notes.innerText();
+
+// A project: one may think better of deleting it; deleted and brought back at once; deleted again, and put back from the
+// trash with its missions.
+await page.getByRole("navigation", { name: "Where this is" }).getByRole("link", { name: "Alps" }).click();
+const project = new URL(page.url()).pathname;
+const removal = dialog("Delete this project?");
+async function removeAlps() {
+  await page.goto(`${address}${project}?tab=settings`);
+  await page.getByRole("button", { name: "Delete the project" }).click();
+  seen.goesWithIt = await removal.innerText();
+  await removal.getByLabel("Type Alps to confirm").fill("Alps");
+  await removal.getByRole("button", { name: "Delete" }).click();
+  await page.waitForURL((url) => url.pathname === "/projects");
+  await page.getByText("There are no projects yet").waitFor();
+}
+await page.goto(`${address}${project}?tab=settings`);
+await page.getByRole("button", { name: "Delete the project" }).click();
+await removal.waitFor();
+await look(page, "project-delete");
+await removal.getByRole("button", { name: "Cancel" }).click();
+await removal.waitFor({ state: "detached" });
+await removeAlps();
+await toast("Alps is in the trash.").getByRole("button", { name: "Undo" }).click();
+await page.waitForURL((url) => url.pathname === project);
+await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor();
+await removeAlps();
+await page.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Trash" }).click();
+await page.getByRole("row").filter({ hasText: "Alps" }).getByRole("button", { name: /^Put back/ }).click();
+await toast("Alps is back.").getByRole("button", { name: "Open" }).click();
+await page.waitForURL((url) => url.pathname === project);
+await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor();
+await page.getByRole("row").filter({ hasText: "night" }).waitFor();
 
 // Somebody new, who may see nothing yet: home says what to do.
 const { page: guest } = await somebody(() => isMeantToFail);
