@@ -27,6 +27,7 @@ class ExitCode(enum.IntEnum):
     destination = 11
     timed_out = 12
     no_room = 13
+    run_failed = 14
     interrupted = 130
 
 

@@ -33,6 +33,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or prove those in the store."),
     "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
     "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
+    "action": ("kleinkram.cli.action", "app", "Actions, which run on the files of a mission: run-local."),
     "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
     "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
     "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),

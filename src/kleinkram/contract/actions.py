@@ -86,6 +86,22 @@ class Parameter(BaseModel):
             raise ValueError(f"{self.name!r} is at most {self.maximum:g}, not {value}")
         return value
 
+    def read(self, text: str) -> ParameterValue:
+        """Return the value that a text stands for, such as one of a command line.
+
+        Raises:
+            ValueError: it stands for none.
+        """
+        wanted, _ = _PYTHON_TYPES[self.type]
+        try:
+            if self.type is ParameterType.boolean:
+                return self.check({"true": True, "false": False}[text.lower()])
+            if self.type is ParameterType.integer:
+                return self.check(int(text))
+            return self.check(float(text) if self.type is ParameterType.number else text)
+        except KeyError:
+            raise ValueError(f"{self.name!r} is {wanted}, not {text!r}") from None
+
 
 _PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {
     ParameterType.string: ("a text", (str,)),
@@ -159,7 +175,8 @@ class Resources(BaseModel):
 class ActionDefinition(BaseModel):
     """What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
 
-    `command` is a list that nobody splits; without it the image's own is run. A script is started with Python.
+    `command` is a list that nobody splits; without it the image's own is run. A script is started with Python, and its
+    `dependencies` (PEP 508) must be there: on the stock image, or on the image that it names.
     `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
     """
 
@@ -170,6 +187,7 @@ class ActionDefinition(BaseModel):
     image: ImageName | None = None
     command: Annotated[list[Argument], Field(max_length=1000)] = []
     script: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_SCRIPT_CHARACTERS)] | None = None
+    dependencies: Annotated[list[Term], Field(max_length=200)] = []
     parameters: Annotated[list[Parameter], Field(max_length=MAX_PARAMETERS)] = []
     inputs: Inputs = Inputs()
     resources: Resources = Resources()
@@ -182,6 +200,8 @@ class ActionDefinition(BaseModel):
             raise ValueError("an action has an 'image' or a 'script'")
         if self.script is not None and self.command:
             raise ValueError("a script is run as it is: it has no 'command'")
+        if self.script is None and self.dependencies:
+            raise ValueError("an image brings what it needs: only a script has 'dependencies'")
         names = [parameter.name for parameter in self.parameters]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"the parameter {twice[0]!r} is declared twice")

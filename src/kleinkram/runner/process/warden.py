@@ -12,6 +12,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _NOT_FOUND = "not found: "
+_Taker = Callable[[bytes], None]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Warden:
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
         self._disk_at = self._told_at = 0.0
+        self._failure = b""
         self._log_left: int = self._work["log_bytes"]
 
     def run(self) -> None:
@@ -60,12 +63,8 @@ class Warden:
             os._exit(self._begin(output_end, failed_end))
         os.close(output_end)
         os.close(failed_end)
-        failure = _read_all(failed)
-        if not failure:
-            os.write(1, b"started\n")
-        os.close(1)
-        code = self._watch(pid, output)
-        self._leave(failure.decode(errors="replace"), code)
+        code = self._watch(pid, output, failed)
+        self._leave(code)
 
     def _begin(self, output: int, failed: int) -> int:
         """In the child: become the command, and return its exit code."""
@@ -89,34 +88,48 @@ class Warden:
             os.write(failed, f"{kind}{error}".encode())
         return 127
 
-    def _watch(self, pid: int, output: int) -> int:
+    def _watch(self, pid: int, output: int, failed: int) -> int:
         log = os.open(self._folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        open_ends: dict[int, _Taker] = {output: lambda data: self._keep(data, log), failed: self._note_failure}
         code: int | None = None
-        is_open = True
-        while code is None or is_open:
-            if is_open and select.select([output], [], [], _LOOK_EVERY_S if code is None else 0)[0]:
-                is_open = self._take_output(output, log)
-            elif code is not None:
-                break  # what still holds the pipe is not of this run any more
-            elif not is_open:
+        while code is None:
+            for each in select.select([*open_ends], [], [], _LOOK_EVERY_S)[0]:
+                self._take(each, open_ends)
+            if not open_ends:
                 time.sleep(_LOOK_EVERY_S)
-            if code is None:
-                self._look()
-                ended, status = os.waitpid(pid, os.WNOHANG)
-                code = os.waitstatus_to_exitcode(status) if ended else None
+            self._look()
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            code = os.waitstatus_to_exitcode(status) if ended else None
         for each in _descendants(os.getpid()):
             _kill(each, signal.SIGKILL)
+        # What was written before the end; what still holds a pipe is not of this run any more.
+        while ready := select.select([*open_ends], [], [], 0)[0]:
+            for each in ready:
+                self._take(each, open_ends)
         os.close(log)
         return code if code >= 0 else 128 - code
 
-    def _take_output(self, output: int, log: int) -> bool:
-        data = os.read(output, 65536)
+    def _take(self, end: int, open_ends: dict[int, _Taker]) -> None:
+        data = os.read(end, 65536)
+        open_ends[end](data)
+        if not data:
+            os.close(end)
+            del open_ends[end]
+
+    def _note_failure(self, data: bytes) -> None:
+        """Take what keeps the command from starting; with nothing of that, the end of the pipe means that it runs."""
+        self._failure += data
+        if not data:
+            if not self._failure:
+                os.write(1, b"started\n")
+            os.close(1)
+
+    def _keep(self, data: bytes, log: int) -> None:
         if self._log_left > 0:
             os.write(log, data[: self._log_left])
             self._log_left -= len(data)
             if self._log_left <= 0:
                 os.write(log, b"\n[kleinkram] the log is full: what comes after this is not kept\n")
-        return bool(data)
 
     def _look(self) -> None:
         now = time.monotonic()
@@ -162,7 +175,8 @@ class Warden:
             self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
             _write(self._folder / USAGE, vars(self._use))
 
-    def _leave(self, failure: str, code: int) -> None:
+    def _leave(self, code: int) -> None:
+        failure = self._failure.decode(errors="replace")
         self._look_at_disk()
         used = os.times()
         self._use = replace(self._use, cpu_s=max(self._use.cpu_s, used.children_user + used.children_system))
@@ -186,14 +200,6 @@ def _told_by(failure: str, code: int) -> tuple[str, str]:
 
 def _mb(size_bytes: int) -> str:
     return f"{size_bytes / 1e6:,.0f} MB"
-
-
-def _read_all(descriptor: int) -> bytes:
-    pieces = []
-    while piece := os.read(descriptor, 4096):
-        pieces.append(piece)
-    os.close(descriptor)
-    return b"".join(pieces)
 
 
 def _kill(pid: int, sign: signal.Signals) -> None:

@@ -1,0 +1,186 @@
+"""What a run left in `/out`, read as what it is: the word of a stranger. No link is followed, nothing is believed."""
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from kleinkram.contract.metadata import check_values
+from kleinkram.contract.names import check_file_path
+from kleinkram.contract.reports import (
+    EVENTS_FILE,
+    MAX_EVENT_BYTES,
+    MAX_FINDINGS,
+    MAX_METRICS,
+    MAX_REPORT_BYTES,
+    REPORT_FILE,
+    Event,
+    Finding,
+    Metric,
+    Report,
+)
+
+MAX_ARTIFACTS = 100_000
+_MOST_PROBLEMS = 100
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """A file that a run left; `path` is relative to `/out`."""
+
+    path: str
+    size_bytes: int
+
+
+@dataclass
+class Results:
+    """All that a run left and said. `problems` say, in sentences, what of it could not be taken.
+
+    `broken` says why `report.json` is no report; null where it is one, or there is none.
+    """
+
+    artifacts: list[Artifact] = field(default_factory=list)
+    report: Report = field(default_factory=Report)
+    problems: list[str] = field(default_factory=list)
+    broken: str | None = None
+
+
+def collect(out: Path) -> Results:
+    """Read what a run that is over left in its folder `out`; nothing, where there is no such folder."""
+    if not out.is_dir():
+        return Results()
+    problems: list[str] = []
+    artifacts = list(_artifacts(out, problems))
+    if len(artifacts) > MAX_ARTIFACTS:
+        problems.append(f"It left {len(artifacts)} files; the first {MAX_ARTIFACTS} are kept.")
+        del artifacts[MAX_ARTIFACTS:]
+    report, broken = Report(), None
+    try:
+        report = _report(out / REPORT_FILE)
+    except _Unreadable as error:
+        broken = str(error)
+    report = _together(_events(out / EVENTS_FILE, problems), report, problems)
+    report = _only_artifacts(report, {artifact.path for artifact in artifacts}, problems)
+    if len(problems) > _MOST_PROBLEMS:
+        problems = [*problems[:_MOST_PROBLEMS], f"And {len(problems) - _MOST_PROBLEMS} more."]
+    return Results(artifacts, report, problems, broken)
+
+
+class _Unreadable(Exception):
+    """A file is not what it should be; says why."""
+
+
+def _artifacts(out: Path, problems: list[str]) -> Iterator[Artifact]:
+    waiting = [out]
+    while waiting:
+        folder = waiting.pop(0)
+        for entry in sorted(os.scandir(folder), key=lambda each: each.name):
+            path = Path(entry.path).relative_to(out).as_posix()
+            if path == REPORT_FILE or path == EVENTS_FILE.partition("/")[0]:
+                continue
+            status = entry.stat(follow_symlinks=False)
+            if stat.S_ISDIR(status.st_mode):
+                waiting.append(Path(entry.path))
+                continue
+            if not stat.S_ISREG(status.st_mode):
+                kind = "a link" if stat.S_ISLNK(status.st_mode) else "no regular file"
+                problems.append(f"{path} is {kind}: left out.")
+                continue
+            try:
+                yield Artifact(check_file_path(path), status.st_size)
+            except ValueError as error:
+                problems.append(f"The name {path!r} {error}: left out.")
+
+
+def _read(path: Path, most_bytes: int) -> bytes | None:
+    """Return what a file holds, or None where there is none; links are not followed.
+
+    Raises:
+        _Unreadable: it is something else, or too large.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise _Unreadable(f"{path.name} cannot be read: {error.strerror}.") from error
+    with os.fdopen(descriptor, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise _Unreadable(f"{path.name} is no regular file.")
+        data = stream.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise _Unreadable(f"{path.name} has more than {most_bytes} bytes.")
+    return data
+
+
+def _report(path: Path) -> Report:
+    data = _read(path, MAX_REPORT_BYTES)
+    if data is None:
+        return Report()
+    try:
+        return Report.model_validate_json(data)
+    except ValidationError as error:
+        raise _Unreadable(f"{path.name} is not a report: {_first(error)}.") from error
+
+
+def _events(path: Path, problems: list[str]) -> list[Event]:
+    try:
+        data = _read(path, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
+    except _Unreadable as error:
+        problems.append(str(error))
+        return []
+    return [event for number, line in enumerate(data.splitlines(), 1) if (event := _event(line, number, problems))]
+
+
+def _event(line: bytes, number: int, problems: list[str]) -> Event | None:
+    try:
+        return Event.model_validate_json(line)
+    except ValidationError as error:
+        problems.append(f"Line {number} of {Path(EVENTS_FILE).name} is no event: {_first(error)}.")
+        return None
+
+
+def _together(events: list[Event], report: Report, problems: list[str]) -> Report:
+    """Put what was said while the run lasted before what the report says; the last word on a metric counts."""
+    findings: list[Finding] = [event.finding for event in events if event.finding] + report.findings
+    said = [event.metric for event in events if event.metric] + report.metrics
+    metrics: dict[tuple[str, str | None], Metric] = {(metric.name, metric.file): metric for metric in said}
+    previews = {each.path: each for each in [event.preview for event in events] + [*report.previews] if each}
+    put_back = {each.to: each for each in [event.put_back for event in events] + [*report.put_back] if each}
+    metadata = {name: value for event in events if event.metadata for name, value in event.metadata.items()}
+    metadata |= report.metadata
+    try:
+        check_values(metadata)
+    except ValueError as error:
+        problems.append(f"The metadata that it proposes {error}: left out.")
+        metadata = {}
+    for what, count, most in (("findings", len(findings), MAX_FINDINGS), ("metrics", len(metrics), MAX_METRICS)):
+        if count > most:
+            problems.append(f"It said {count} {what}; the first {most} are kept.")
+    return Report.model_construct(
+        findings=findings[:MAX_FINDINGS],
+        metrics=list(metrics.values())[:MAX_METRICS],
+        previews=list(previews.values()),
+        metadata=metadata,
+        put_back=list(put_back.values()),
+    )
+
+
+def _only_artifacts(report: Report, paths: set[str], problems: list[str]) -> Report:
+    """Leave out what is said of files that are not there."""
+    spoken_of = [each.path for each in report.previews] + [each.path for each in report.put_back]
+    missing = [path for path in spoken_of if path not in paths]
+    problems += [f"It speaks of the artifact {path}, which it did not leave." for path in missing]
+    previews = [each for each in report.previews if each.path in paths]
+    put_back = [each for each in report.put_back if each.path in paths]
+    return report.model_copy(update={"previews": previews, "put_back": put_back})
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    where = ".".join(map(str, first["loc"]))
+    return json.dumps(where) + ": " + first["msg"] if where else first["msg"]

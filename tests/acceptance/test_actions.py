@@ -1,0 +1,79 @@
+"""Actions, as who writes one meets them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.acceptance.conftest import Terminal
+
+SCRIPT = """\
+# /// script
+# dependencies = ["packaging"]
+# [tool.kleinkram]
+# inputs = {paths = ["*.mcap"]}
+# parameters = [{name = "topic", type = "topic", default = "/imu"}, {name = "code", type = "integer", default = 0}]
+# ///
+from kleinkram.action import context, inputs, out, parameters, progress, report
+
+for number, path in enumerate(inputs()):
+    progress(number / len(inputs()), path.name)
+    print("looking at", path, flush=True)
+    report.metric("messages", sum(topic.count or 0 for topic in context().topics), file=path)
+    report.finding("warning", "few", "fewer than it should have", file=path, topic=parameters()["topic"])
+(out / "tables").mkdir()
+(out / "tables" / "counts.csv").write_text("topic,count")
+(out / "outside").symlink_to("/etc/passwd")
+report.propose(sensors=["imu"])
+raise SystemExit(parameters()["code"])
+"""
+
+
+@pytest.fixture
+def mission(terminal: Terminal, project: str, tmp_path: Path) -> tuple[str, ...]:
+    """A mission with recordings; says how to name it."""
+    terminal.run("sample", tmp_path / "drive", "--size", "5MB", "--format", "mcap", "--format", "bag")
+    terminal.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
+    return "-p", project, "-m", "drive"
+
+
+def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
+    script = tmp_path / "look.py"
+    script.write_text(SCRIPT)
+    run = ["action", "run-local", script, *mission, "--out"]
+
+    ran = terminal.run(*run, tmp_path / "out", "--json")
+    assert "looking at /in/drive/drive.mcap" in ran.err
+    assert "outside is a link: left out" in ran.err
+    said = ran.json()
+    assert (said["reason"], said["artifacts"]) == ("done", [{"path": "tables/counts.csv", "size_bytes": 11}])
+    (metric,) = said["report"]["metrics"]
+    assert (metric["name"], metric["file"]) == ("messages", "drive/drive.mcap")
+    assert metric["value"] > 0
+    assert said["report"]["metadata"] == {"sensors": ["imu"]}
+    assert (tmp_path / "out" / "tables" / "counts.csv").read_text() == "topic,count"
+
+    again = terminal.run(*run, tmp_path / "out", code=2)
+    assert "holds something already" in again.err
+    failed = terminal.run(*run, tmp_path / "failed", "--set", "code=3", code=14)
+    assert "the exit code 3" in failed.err
+    unknown = terminal.run(*run, tmp_path / "unknown", "--set", "topc=/imu", code=2)
+    assert "no parameter 'topc'; it has topic, code" in unknown.err
+
+
+def test_what_cannot_be_run_is_told(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
+    script = tmp_path / "look.py"
+    run = ["action", "run-local", script, *mission, "--out", tmp_path / "out"]
+    for header, code, why in (
+        ('dependencies = ["nonsense-that-nobody-made>=2"]', 14, "needs what is not installed here: nonsense"),
+        ('[tool.kleinkram]\n# inputs = {paths = ["*.csv"]}', 3, "No file of the mission drive is an input of look"),
+        ("[tool.kleinkram]\n# privileged = true", 2, "privileged: Extra inputs"),
+        ("dependencies = [", 2, "its header is not TOML"),
+    ):
+        script.write_text(f"# /// script\n# {header}\n# ///\n")
+        assert why in terminal.run(*run, code=code).err
+
+    script.write_text("open('/out/report.json', 'w').write('{\"metrics\": [{\"name\": 5}]}')")
+    said = json.loads(terminal.run(*run, "--json", code=14).out)
+    assert said["reason"] == "broken_report"
+    assert "metrics.0.name" in said["message"]
