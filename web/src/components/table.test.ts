@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { afterClick, columnsFor, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
+import { afterClick, columnsFor, drawnAfter, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
 
 const columns = [
   { key: "name", title: "Name", sort: "name" },
@@ -61,5 +61,28 @@ describe("places of drawn rows", () => {
     const more = placesOf([7, 1, 2, 3, 4, 5], placesOf([0, 1, 2], new Map()));
     expect(new Set(more.values()).size).toBe(6);
     expect([more.get(1), more.get(2)]).toEqual([1, 2]);
+  });
+});
+
+describe("rows that come into sight", () => {
+  const upTo = (from: number, to: number) => Array.from({ length: to - from }, (_, at) => from + at);
+  it("are all drawn the first time, and at once where they are few", () => {
+    expect(drawnAfter([], upTo(0, 40), 0, 5)).toEqual(upTo(0, 40));
+    expect(drawnAfter(upTo(0, 40), upTo(3, 43), 3, 5)).toEqual(upTo(3, 43));
+  });
+  it("are drawn by and by where they are many, in the places of those that went", () => {
+    let drawn: readonly number[] = upTo(0, 12);
+    const sizes: number[] = [];
+    for (let frame = 0; frame < 3; frame += 1) {
+      const next = drawnAfter(drawn, upTo(500, 512), 0, 5);
+      sizes.push(next.filter((index) => !drawn.includes(index)).length);
+      expect(next).toHaveLength(12);
+      drawn = next;
+    }
+    expect(sizes).toEqual([5, 5, 2]);
+    expect(drawn).toEqual(upTo(500, 512));
+  });
+  it("begin with the one that has the focus, then those in the middle", () => {
+    expect(drawnAfter([7], [100, 101, 102, 103, 104], 104, 3).filter((index) => index > 7)).toEqual([101, 102, 104]);
   });
 });

@@ -72,6 +72,20 @@ export function afterClick(
   return result;
 }
 
+/**
+ * Returns the rows that a frame draws: of those wanted, the ones that are drawn already and at most `most` that come,
+ * `first` and then the middle before the edges. A row that went stays until one comes in its place. The first time, all come.
+ */
+export function drawnAfter(before: readonly number[], wanted: readonly number[], first: number, most: number): readonly number[] {
+  const middle = wanted[wanted.length >> 1] ?? 0;
+  const urgency = (index: number) => (index === first ? -1 : Math.abs(index - middle));
+  const coming = wanted.filter((index) => !before.includes(index)).sort((one, other) => urgency(one) - urgency(other));
+  const drawn = coming.slice(0, before.length === 0 ? coming.length : most);
+  const gone = before.filter((index) => !wanted.includes(index)).slice(0, coming.length - drawn.length);
+  const staying = wanted.filter((index) => before.includes(index));
+  return [...staying, ...drawn, ...gone].sort((one, other) => one - other);
+}
+
 /** Returns the place of each row that is drawn: rows that stay keep theirs, those that come take those of rows that went. */
 export function placesOf(indexes: readonly number[], before: ReadonlyMap<number, number>): ReadonlyMap<number, number> {
   const places = new Map<number, number>();

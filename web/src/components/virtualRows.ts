@@ -1,14 +1,16 @@
 // Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
-import { defaultRangeExtractor, type Range, useVirtualizer, useWindowVirtualizer, type VirtualItem } from "@tanstack/vue-virtual";
-import { computed, type ComputedRef, onMounted, onScopeDispose, ref, type Ref } from "vue";
+// When many come into sight at once, as beneath a scroll bar that is pulled, each frame draws some: none takes long.
+import { defaultRangeExtractor, type Range, useVirtualizer, useWindowVirtualizer } from "@tanstack/vue-virtual";
+import { computed, type ComputedRef, onMounted, onScopeDispose, ref, type Ref, shallowRef, watch } from "vue";
+import { drawnAfter } from "./table";
 
-const OVERSCAN = 6;
+const OVERSCAN = 4;
+const MOST_A_FRAME = 10;
 
 export interface VirtualRows {
-  readonly items: ComputedRef<readonly VirtualItem[]>;
+  /** The rows that are drawn: those in sight, and at times some that went, in whose place one is drawn soon. */
+  readonly drawn: Readonly<Ref<readonly number[]>>;
   readonly total: ComputedRef<number>;
-  /** How far a row is from the table's top. */
-  readonly top: (item: VirtualItem) => number;
   readonly reveal: (index: number) => void;
   readonly width: Ref<number>;
 }
@@ -52,6 +54,22 @@ export function useVirtualRows(options: VirtualOptions): VirtualRows {
     margin.value = options.isOwnScroller ? 0 : body.getBoundingClientRect().top + window.scrollY;
   }
 
+  const wanted = computed(() => virtualizer.value.getVirtualItems().map(({ index }) => index));
+  const drawn = shallowRef<readonly number[]>([]);
+  let frame: number | null = null;
+
+  function draw(): void {
+    drawn.value = drawnAfter(drawn.value, wanted.value, options.kept(), MOST_A_FRAME);
+    const isWhole = wanted.value.every((index) => drawn.value.includes(index));
+    frame = isWhole ? null : requestAnimationFrame(draw);
+  }
+
+  watch(wanted, () => {
+    if (drawn.value.length === 0) draw();
+    else frame ??= requestAnimationFrame(draw); // what scrolls is told before that, in the same frame: nothing comes later
+  }, { immediate: true });
+  onScopeDispose(() => { if (frame !== null) cancelAnimationFrame(frame); });
+
   const observer = new ResizeObserver(measure);
   onMounted(() => {
     measure();
@@ -61,9 +79,8 @@ export function useVirtualRows(options: VirtualOptions): VirtualRows {
   onScopeDispose(() => observer.disconnect());
 
   return {
-    items: computed(() => virtualizer.value.getVirtualItems()),
+    drawn,
     total: computed(() => virtualizer.value.getTotalSize()),
-    top: (item) => item.start - margin.value,
     reveal: (index) => virtualizer.value.scrollToIndex(index, { align: "auto" }),
     width,
   };
