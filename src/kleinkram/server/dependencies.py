@@ -9,6 +9,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
+from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.rights import admit, is_door, still_shares
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.places import named
@@ -152,3 +153,11 @@ async def _transaction(database: CurrentDatabase, _known: CurrentActor) -> Async
 CurrentSite = Annotated[Site, Depends(_site)]
 # scope="function": committed before the answer leaves, so that nobody reads their own write too early.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
+
+
+async def _searcher(db: Transaction, actor: CurrentActor) -> Actor:
+    return await knowing_few(db, actor)
+
+
+# Who asks what goes through everything that they see.
+SearchingActor = Annotated[Actor, Depends(_searcher)]

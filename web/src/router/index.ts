@@ -1,5 +1,5 @@
 // How one goes from view to view: who is not signed in signs in first and comes back; the heading gets the focus.
-import type { QueryClient } from "@tanstack/vue-query";
+import { noop, type QueryClient } from "@tanstack/vue-query";
 import { createRouter, createWebHistory, type Router } from "vue-router";
 import { followLeaving } from "./query";
 import { routes } from "./routes";
@@ -33,7 +33,11 @@ export function openRouter(queries: QueryClient): Router {
   });
   followLeaving(router);
   router.beforeEach(async (to) => {
-    if (to.meta.guests === true || (await isSomebodyHere(queries))) return true;
+    if (to.meta.guests === true) return true;
+    if (await isSomebodyHere(queries)) {
+      if (to.meta.asksFirst !== undefined) queries.query(to.meta.asksFirst).catch(noop); // the page says what is wrong
+      return true;
+    }
     globalThis.location.assign(signInAddress(to.fullPath));
     return false;
   });

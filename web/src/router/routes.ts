@@ -1,6 +1,7 @@
 // Every view and its address. Each page is a chunk of its own, fetched when somebody goes there.
 // The server answers with the app under these first words alone: they stand in server/access/operations.py too.
 import type { RouteRecordRaw } from "vue-router";
+import { homeQuery } from "@/features/home/queries";
 
 declare module "vue-router" {
   interface RouteMeta {
@@ -8,13 +9,15 @@ declare module "vue-router" {
     guests?: boolean;
     /** Shown without the app around it. */
     bare?: boolean;
+    /** What the page asks the server for: asked while its chunk is still on the way. */
+    asksFirst?: typeof homeQuery;
   }
 }
 
 const guests = { guests: true };
 
 export const routes: RouteRecordRaw[] = [
-  { path: "/", name: "home", component: () => import("@/features/home/HomePage.vue") },
+  { path: "/", name: "home", meta: { asksFirst: homeQuery }, component: () => import("@/features/home/HomePage.vue") },
   { path: "/public", name: "public", meta: guests, component: () => import("@/features/public/PublicPage.vue") },
   { path: "/projects", name: "projects", component: () => import("@/features/project/ProjectsPage.vue") },
   { path: "/projects/:projectId", name: "project", meta: guests, component: () => import("@/features/project/ProjectPage.vue") },

@@ -61,6 +61,8 @@ class Actor:
     limits: Limits | None = None
     # The row of the table of operations under which this request came in.
     operation: str | None = None
+    # All missions that they see, where that was asked and these are few.
+    few_mission_ids: frozenset[uuid.UUID] | None = None
 
     @property
     def ref(self) -> PersonRef | None:

@@ -73,7 +73,8 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return _joined_files().where(*live, _reaches_file(actor, right))
+    stmt = _joined_files().where(*live, _reaches_file(actor, right))
+    return stmt if actor.few_mission_ids is None else stmt.where(among(file.c.mission_id, actor.few_mission_ids))
 
 
 def reached_projects(actor: Actor) -> Select[Any]:

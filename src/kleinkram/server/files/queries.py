@@ -80,8 +80,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 
 def file_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
-    # Said once more for the database, which may then begin with the blobs where these order the files.
-    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True).where(blob.c.id.is_not(None))
+    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
 
 
@@ -145,6 +144,16 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the visible files that match, to be counted or read."""
     return narrow_files(actor, visible_files(actor), matching)
+
+
+def listed_files(actor: Actor, found: Select[Any]) -> Select[Any]:
+    """Return the rows of files that `matching_files` found, to be put in order."""
+    rows = file_rows(found)
+    if actor.few_mission_ids is not None:
+        return rows
+    # Said once more for the database, which may then begin with the blobs where these order the files. Of few files it
+    # would pass over nearly all others to find the first.
+    return rows.where(blob.c.id.is_not(None))
 
 
 def file_order(sort: FileSort) -> Order:

@@ -17,7 +17,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, SearchingActor, Transaction
 from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
 
@@ -34,7 +34,9 @@ class FileListQuery(FileQuery):
 
 
 @router.get("/files", operation_id="list_files")
-async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[FileRead]:
+async def list_files(
+    query: Annotated[FileListQuery, Query()], db: Transaction, actor: SearchingActor
+) -> Page[FileRead]:
     """List the files that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
     return await service.list_files(db, actor, matching=whole(query), sort=query.sort, page=page)

@@ -1,5 +1,5 @@
 // What home asks the server, in one request. Its key begins as lists of missions do, since it is old when they are.
-import { useQuery } from "@tanstack/vue-query";
+import { queryOptions, useQuery } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
@@ -10,9 +10,11 @@ export type RecentMission = Schemas["RecentMission"];
 export type UnfinishedUpload = Schemas["UnfinishedUpload"];
 export type Attention = Schemas["Attention"];
 
+export const homeQuery = queryOptions({
+  queryKey: keys.missions({ home: true }),
+  queryFn: ({ signal }) => call(api.GET("/api/v1/home", { signal })),
+});
+
 export function useHome() {
-  return useQuery({
-    queryKey: keys.missions({ home: true }),
-    queryFn: ({ signal }) => call(api.GET("/api/v1/home", { signal })),
-  });
+  return useQuery(homeQuery);
 }
