@@ -16,6 +16,7 @@ from kleinkram.server.web.serving import BUILT
 
 _WEB = Path(__file__).parent.parent / "web"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_BROWSER_S = 900
 _ALL = ("load", "changes", "mission", "picture", "scroll")
 _TIMES = 5
 _TURNS = 120
@@ -44,7 +45,10 @@ def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path
     told = json.dumps({**places, "asked": asked, "times": _TIMES, "turns": _TURNS})
     link = klein("session", "link").strip()
     command = ["node", str(Path(__file__).with_name("web.mjs")), str(_WEB), str(found), link, url, told]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    try:
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=_BROWSER_S)
+    except subprocess.TimeoutExpired as error:
+        raise SystemExit(f"the browser's side was not done after {_BROWSER_S} s: {error.stderr}") from error
     if done.returncode != 0:
         raise SystemExit(f"the browser's side failed: {done.stderr}")
     seen = json.loads(done.stdout)
