@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.rights import Right
+from kleinkram.server.access import few
+from tests.integration import people
 from tests.integration.running import Api, Query
 from tests.integration.sample import Sample
 
@@ -193,6 +196,58 @@ def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api,
             assert len(api.get("/files", {"mission_id": mission}).ok()["items"]) == number + 1
         counts.append(len(statements))
     assert counts == [2, 2, 2]
+
+
+def test_who_sees_few_missions_finds_what_an_admin_finds_in_them(api: Api, sample: Sample, project: Any) -> None:
+    """The database is told which these are, in one statement more; who sees many is asked for no others than before."""
+    reader, many = people.person(api), people.person(api)
+    missions = [item["id"] for item in api.all("/missions", {"project_id": project["id"]})]
+    for mission_id in missions:
+        people.grant(api, reader, Right.read, mission_id=mission_id)
+    people.grant(api, many, Right.read, project_id=project["id"])
+    crowd = api.project()["id"]
+    people.grant(api, many, Right.read, project_id=crowd)
+    for number in range(few.MOST):
+        sample.file(api.mission(crowd)["id"], f"{number}.txt")
+    for person in (reader, many):
+        theirs = api.as_(person.token)
+        for sort in ("start", "-start", "created", "-size", "path"):
+            query = {"project_id": project["id"], "sort": sort, "limit": "2"}
+            assert _ids(theirs.all("/files", query)) == _ids(api.all("/files", query))
+        for path in ("/stats", "/topics"):
+            query = {"project_id": project["id"], **({} if path == "/stats" else {"count": "true"})}
+            assert theirs.get(path, query).ok() == api.get(path, query).ok()
+        text = {"query": f'project:"{project["name"]}"'}
+        # All but the first: the projects to choose from are those that one sees.
+        own, all_ = (each.get("/search/facets", text).ok()["facets"][1:] for each in (theirs, api))
+        assert own == all_
+    assert set(_told_of_few(api, reader.token)) == {True}, "each statement on files says which missions"
+    assert set(_told_of_few(api, many.token)) == {False}
+
+
+def test_a_right_that_is_new_or_gone_shows_at_once_to_who_sees_few_missions(api: Api, sample: Sample) -> None:
+    first, second = (api.mission(api.project()["id"])["id"] for _ in range(2))
+    ids = [sample.file(mission, "a.mcap") for mission in (first, second)]
+    reader = people.person(api)
+    theirs = api.as_(reader.token)
+    assert theirs.get("/files", {"count": "true"}).ok()["total"] == 0
+    people.grant(api, reader, Right.read, mission_id=first)
+    assert _ids(theirs.all("/files", {})) == ids[:1]
+    people.grant(api, reader, Right.read, mission_id=second)
+    assert sorted(_ids(theirs.all("/files", {}))) == sorted(ids)
+    api.sql("DELETE FROM access_grant WHERE mission_id = %s AND group_id = %s", first, reader.group_id)
+    assert _ids(theirs.all("/files", {})) == ids[1:]
+
+
+def _ids(rows: list[dict[str, Any]]) -> list[str]:
+    return [row["id"] for row in rows]
+
+
+def _told_of_few(api: Api, token: str) -> list[bool]:
+    with api.statements() as statements:
+        api.as_(token).get("/search", {"query": ""}).ok()
+        api.as_(token).get("/search/facets", {"query": ""}).ok()
+    return ["file.mission_id = ANY" in each for each in statements if "JOIN mission" in each and "FROM file" in each]
 
 
 def test_topics_are_found_across_files(api: Api, project: Any, sample: Sample) -> None:

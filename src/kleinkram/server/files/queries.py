@@ -80,7 +80,8 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 
 def file_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
-    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
+    # Said once more for the database, which may then begin with the blobs where these order the files.
+    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True).where(blob.c.id.is_not(None))
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
 
 
@@ -146,23 +147,16 @@ def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
     return narrow_files(actor, visible_files(actor), matching)
 
 
-def listed_files(actor: Actor, found: Select[Any]) -> Select[Any]:
-    """Return the rows of files that `matching_files` found, to be put in order."""
-    rows = file_rows(found)
-    if actor.few_mission_ids is not None:
-        return rows
-    # Said once more for the database, which may then begin with the blobs where these order the files. Of few files it
-    # would pass over nearly all others to find the first.
-    return rows.where(blob.c.id.is_not(None))
-
-
-def file_order(sort: FileSort) -> Order:
+def file_order(actor: Actor, sort: FileSort) -> Order:
     """Return a list's order. Files without a time come last, whichever way the list runs."""
     descending = sort.value.startswith("-")
     key = sort.value.removeprefix("-")
     if key == "path":
         return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
-    unknown = literal(_FIRST if descending else _LAST, BigInteger)
+    # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen: the
+    # database would walk it past nearly all files to find theirs.
+    first = _FIRST if actor.few_mission_ids is None else _FIRST + 1
+    unknown = literal(first if descending else _LAST, BigInteger)
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,
         "size": blob.c.size_bytes,

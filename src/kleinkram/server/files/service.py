@@ -73,7 +73,7 @@ async def list_files(
         InvalidCursor: the cursor is not of this list.
     """
     found = queries.matching_files(actor, matching)
-    rows = await fetch_page(db, queries.listed_files(actor, found), queries.file_order(sort), page, counted=found)
+    rows = await fetch_page(db, queries.file_rows(found), queries.file_order(actor, sort), page, counted=found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
