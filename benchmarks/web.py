@@ -48,7 +48,7 @@ def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path
     try:
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=_BROWSER_S)
     except subprocess.TimeoutExpired as error:
-        raise SystemExit(f"the browser's side was not done after {_BROWSER_S} s: {error.stderr}") from error
+        raise SystemExit(f"the browser's side was not done after {_BROWSER_S} s: {error.stderr!r}") from error
     if done.returncode != 0:
         raise SystemExit(f"the browser's side failed: {done.stderr}")
     seen = json.loads(done.stdout)

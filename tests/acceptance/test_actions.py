@@ -61,6 +61,7 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
     assert "no parameter 'topc'; it has topic, code" in unknown.err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_run_is_told(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
     script = tmp_path / "look.py"
     run = ["action", "run-local", script, *mission, "--out", tmp_path / "out"]

@@ -139,6 +139,7 @@ def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
     assert "20 MB" in ending.message
 
 
+@pytest.mark.slow
 def test_many_small_files_are_counted(isolated: Bench) -> None:
     _, ending = isolated.run(
         "import itertools\nfor n in itertools.count():\n    open(f'/out/{n}', 'wb').write(b'x' * 4096)",
@@ -152,6 +153,7 @@ def test_too_long_ends_the_run(bench: Bench) -> None:
     assert ending.reason is EndReason.time
 
 
+@pytest.mark.slow
 def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
     _, ending = isolated.run("import os\nwhile True:\n    try: os.fork()\n    except OSError: pass", time_s=2)
     assert ending.reason in {EndReason.time, EndReason.memory}
@@ -183,6 +185,7 @@ def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
     bench.executor.stop(work)
 
 
+@pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process_executor, "LOG_BYTES", 1_000_000)
     work, ending = bench.run("while True: print('y' * 1000)", time_s=2)
@@ -191,12 +194,14 @@ def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) ->
     assert "the log is full" in log_of(work)
 
 
+@pytest.mark.slow
 def test_no_line_is_lost(bench: Bench) -> None:
     work, ending = bench.run("for n in range(200_000): print(f'line {n} of a log')")
     assert ending.reason is EndReason.done
     assert log_of(work).splitlines() == [f"line {n} of a log" for n in range(200_000)]
 
 
+@pytest.mark.slow
 def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
     work, ending = isolated.run(
         "import os, time\n"
@@ -219,6 +224,7 @@ def test_found_again_by_another_runner(bench: Bench) -> None:
     assert ending.reason is EndReason.cancelled
 
 
+@pytest.mark.slow
 def test_usage_is_told(bench: Bench) -> None:
     text = "held = bytearray(b'x' * 60_000_000)\nn = sum(i * i for i in range(1_000_000))\nprint('ready', flush=True)\n"
     work = bench.work(text + "import time; time.sleep(0.5)")
