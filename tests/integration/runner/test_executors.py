@@ -120,6 +120,7 @@ def test_a_command_that_is_not_there(bench: Bench) -> None:
     assert caught.value.ending.reason is EndReason.command_not_found
 
 
+@pytest.mark.slow
 def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
     _, ending = bench.run(
         "import time\nheld = []\nwhile True: held.append(bytearray(b'x' * 5_000_000)); time.sleep(0.01)",
@@ -148,6 +149,7 @@ def test_many_small_files_are_counted(isolated: Bench) -> None:
     assert ending.reason is EndReason.disk
 
 
+@pytest.mark.slow
 def test_too_long_ends_the_run(bench: Bench) -> None:
     _, ending = bench.run(LASTING, time_s=1)
     assert ending.reason is EndReason.time
@@ -159,6 +161,7 @@ def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
     assert ending.reason in {EndReason.time, EndReason.memory}
 
 
+@pytest.mark.slow
 def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
     work = bench.work(text)
@@ -212,6 +215,7 @@ def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
     assert not (work.folder / "out" / "late").exists()
 
 
+@pytest.mark.slow
 def test_found_again_by_another_runner(bench: Bench) -> None:
     work = bench.work(LASTING)
     bench.executor.start(work)

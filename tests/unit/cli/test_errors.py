@@ -33,6 +33,7 @@ def test_numbers_never_change() -> None:
         "destination": 11,
         "timed_out": 12,
         "no_room": 13,
+        "run_failed": 14,
         "interrupted": 130,
     }
 

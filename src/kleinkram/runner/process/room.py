@@ -142,11 +142,12 @@ def _furnish(room: Room) -> None:
     root = room.folder / "root"
     root.mkdir(exist_ok=True)
     kernel.mount("tmpfs", root, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, "size=1m,mode=755")
+    for name in ("out", "tmp"):
+        _bind(room.folder / name, root / name)
+    # After those: Python itself may stand below /tmp.
     for place in _places():
         _show(place, root / str(place)[1:])
     _show(room.folder / "in", root / "in")
-    for name in ("out", "tmp"):
-        _bind(room.folder / name, root / name)
     _make_devices(root)
     (root / "proc").mkdir()
     kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
