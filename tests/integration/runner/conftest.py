@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +30,7 @@ class Bench:
         (folder / "in").mkdir(parents=True)
         command = [sys.executable, "-c", text] if isinstance(text, str) else list(text)
         work = Work(
-            key=folder.name,
+            key=f"{folder.name}-{uuid.uuid4().hex}",
             folder=folder,
             command=command,
             image=None,

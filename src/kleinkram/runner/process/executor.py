@@ -16,8 +16,9 @@ from kleinkram.runner.process import room, warden
 from kleinkram.runner.work import GRACE_S, LOG_BYTES, Abilities, CannotStart, Ending, Isolation, Usage, Work
 
 _PROCESS = "warden.json"
-_FIRST_UID = 64_000
-_UIDS = 1_000
+# As root, each run is a uid of its own, of those that no system gives to anybody.
+_FIRST_UID = 1_000_000_000
+_UIDS = 1_000_000_000
 _LOOK_EVERY_S = 0.02
 _LOST = Ending(EndReason.lost, "Its processes were killed together with the one that watched them.")
 
