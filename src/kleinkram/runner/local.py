@@ -21,6 +21,8 @@ from kleinkram.runner.results import Results, collect
 from kleinkram.runner.work import CannotStart, Ending, Executor, Work
 
 _SCRIPT = ".kleinkram/script.py"
+# What a runner itself puts into `/in`.
+_OWN = {CONTEXT_FILE, ".kleinkram"}
 _LOOK_EVERY_S = 0.05
 
 
@@ -63,6 +65,8 @@ def run_locally(
         files = matching_files(client, action, mission)
         if not files:
             raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
+        if taken := next((file.path for file in files if file.path.partition("/")[0] in _OWN), None):
+            raise InvalidInput(what=f"The file {taken}", reason="stands where a run finds what it is told; rename it")
         _fetch(client, files, folder / "in", watcher)
         context = make_context(client, action, mission, files, parameters)
         _write_context(folder / "in", context, action)

@@ -5,6 +5,7 @@ import os
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -54,9 +55,9 @@ def collect(out: Path) -> Results:
     if not out.is_dir():
         return Results()
     problems: list[str] = []
-    artifacts = list(_artifacts(out, problems))
+    artifacts = list(islice(_artifacts(out, problems), MAX_ARTIFACTS + 1))
     if len(artifacts) > MAX_ARTIFACTS:
-        problems.append(f"It left {len(artifacts)} files; the first {MAX_ARTIFACTS} are kept.")
+        problems.append(f"It left more than {MAX_ARTIFACTS} files; only so many are kept.")
         del artifacts[MAX_ARTIFACTS:]
     report, broken = Report(), None
     try:
@@ -78,7 +79,12 @@ def _artifacts(out: Path, problems: list[str]) -> Iterator[Artifact]:
     waiting = [out]
     while waiting:
         folder = waiting.pop(0)
-        for entry in sorted(os.scandir(folder), key=lambda each: each.name):
+        try:
+            entries = sorted(os.scandir(folder), key=lambda each: each.name)
+        except OSError as error:
+            problems.append(f"The folder {folder.relative_to(out)} cannot be read: {error.strerror}.")
+            continue
+        for entry in entries:
             path = Path(entry.path).relative_to(out).as_posix()
             if path == REPORT_FILE or path == EVENTS_FILE.partition("/")[0]:
                 continue
@@ -89,6 +95,9 @@ def _artifacts(out: Path, problems: list[str]) -> Iterator[Artifact]:
             if not stat.S_ISREG(status.st_mode):
                 kind = "a link" if stat.S_ISLNK(status.st_mode) else "no regular file"
                 problems.append(f"{path} is {kind}: left out.")
+                continue
+            if not os.access(entry.path, os.R_OK):
+                problems.append(f"{path} cannot be read: left out.")
                 continue
             try:
                 yield Artifact(check_file_path(path), status.st_size)

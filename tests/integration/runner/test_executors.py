@@ -140,6 +140,11 @@ def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
     assert "20 MB" in ending.message
 
 
+def test_empty_files_are_counted(isolated: Bench) -> None:
+    text = "import itertools\nfor n in itertools.count():\n    open(f'/out/{n}', 'w').close()"
+    assert isolated.run(text, disk_bytes=2_000_000)[1].reason is EndReason.disk
+
+
 @pytest.mark.slow
 def test_many_small_files_are_counted(isolated: Bench) -> None:
     _, ending = isolated.run(

@@ -24,6 +24,8 @@ WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
+# An empty file takes room, too: of what a disk can name.
+_ENTRY_BYTES = 1024
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _NOT_FOUND = "not found: "
 _Taker = Callable[[bytes], None]
@@ -100,9 +102,8 @@ class Warden:
             self._look()
             ended, status = os.waitpid(pid, os.WNOHANG)
             code = os.waitstatus_to_exitcode(status) if ended else None
-        for each in _descendants(os.getpid()):
-            _kill(each, signal.SIGKILL)
-        # What was written before the end; what still holds a pipe is not of this run any more.
+        _end_all()
+        # What was written before the end.
         while ready := select.select([*open_ends], [], [], 0)[0]:
             for each in ready:
                 self._take(each, open_ends)
@@ -209,6 +210,15 @@ def _kill(pid: int, sign: signal.Signals) -> None:
         return
 
 
+def _end_all() -> None:
+    """Kill and reap whatever is left below this process, until nothing is."""
+    while left := _descendants(os.getpid()):
+        for each in left:
+            _kill(each, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(-1, 0)
+
+
 def _descendants(pid: int) -> list[int]:
     found: list[int] = []
     waiting = [pid]
@@ -257,7 +267,7 @@ def _size_of(folder: Path) -> int:
         # What is gone by now takes nothing.
         with contextlib.suppress(OSError), os.scandir(waiting.pop()) as entries:
             for entry in entries:
-                total += entry.stat(follow_symlinks=False).st_blocks * 512
+                total += entry.stat(follow_symlinks=False).st_blocks * 512 + _ENTRY_BYTES
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(entry.path)
     return total

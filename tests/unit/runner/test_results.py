@@ -1,0 +1,51 @@
+"""What a run left is read as a stranger's word: links lead nowhere, and what is broken is told."""
+
+import os
+from pathlib import Path
+
+from kleinkram.contract.reports import EVENTS_FILE
+from kleinkram.runner.results import collect
+
+
+def test_artifacts_are_regular_files_below_out(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "deep").mkdir(parents=True)
+    (out / "deep" / "track.csv").write_text("x")
+    (tmp_path / "secret").write_text("not the run's")
+    (out / "link").symlink_to(tmp_path / "secret")
+    (out / "folder").symlink_to(tmp_path)
+    (out / "new\nline").write_text("x")
+    os.mkfifo(out / "pipe")
+    found = collect(out)
+    assert [artifact.path for artifact in found.artifacts] == ["deep/track.csv"]
+    assert len(found.problems) == 4
+
+
+def test_events_and_report_are_put_together(tmp_path: Path) -> None:
+    (tmp_path / ".kleinkram").mkdir()
+    (tmp_path / EVENTS_FILE).write_text(
+        '{"metric": {"name": "ate_rmse", "value": 1}}\nnonsense\n{"metadata": {"a": 1, "b": 1}}\n'
+        '{"preview": {"path": "../../etc/passwd"}}\n{"preview": {"path": "gone.png"}}\n'
+    )
+    (tmp_path / "report.json").write_text('{"metrics": [{"name": "ate_rmse", "value": 2}], "metadata": {"b": 2}}')
+    found = collect(tmp_path)
+    assert found.broken is None
+    assert [metric.value for metric in found.report.metrics] == [2]
+    assert found.report.metadata == {"a": 1, "b": 2}
+    assert found.report.previews == []
+    assert [problem.partition(":")[0] for problem in found.problems] == [
+        "Line 2 of events.jsonl is no event",
+        "Line 4 of events.jsonl is no event",
+        "It speaks of the artifact gone.png, which it did not leave.",
+    ]
+
+
+def test_a_report_that_leads_elsewhere_is_broken(tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text("{}")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "report.json").symlink_to(tmp_path / "other.json")
+    assert "cannot be read" in (collect(out).broken or "")
+    (out / "report.json").unlink()
+    os.mkfifo(out / "report.json")
+    assert "no regular file" in (collect(out).broken or "")
