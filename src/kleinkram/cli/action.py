@@ -13,6 +13,7 @@ from kleinkram.cli.render import note, show_json, table
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.manifest import read_manifest
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -40,7 +41,6 @@ def run_local(
     from kleinkram.cli.progress import watching
     from kleinkram.runner.local import run_locally
     from kleinkram.runner.process.executor import ProcessExecutor
-    from kleinkram.runner.work import Isolation
 
     definition = read_manifest(action)
     if mission is None:

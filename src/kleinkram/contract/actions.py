@@ -3,8 +3,10 @@
 The same document stands in `action.yaml`, in the `[tool.kleinkram]` table of a script, and on the wire.
 """
 
+import datetime
 import enum
 import math
+import uuid
 from fractions import Fraction
 from typing import Annotated
 
@@ -12,6 +14,8 @@ from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, C
 from typing_extensions import Self
 
 from kleinkram.contract.names import Label, Name, Term, check_text
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.query.amounts import read_duration, read_size
 from kleinkram.contract.rights import Right
 
@@ -222,3 +226,71 @@ class ActionDefinition(BaseModel):
             raise ValueError(f"{self.name} must be told its parameter {missing[0]!r}")
         said = {name: given.get(name, each.default) for name, each in known.items()}
         return {name: known[name].check(value) for name, value in said.items() if value is not None}
+
+
+class ActionCreate(BaseModel):
+    """An action to publish, as its first version: in a project, or without one, for the whole lab."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    project_id: uuid.UUID | None = None
+    definition: ActionDefinition
+
+
+class VersionCreate(BaseModel):
+    """A further version of an action; its name stays."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    definition: ActionDefinition
+
+
+class ActionUpdate(BaseModel):
+    """What to change of an action. An archived one is not listed and starts no new runs; its runs stay."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    archived: bool
+
+
+class ActionVersionRead(BaseModel):
+    """One version of an action, which never changes.
+
+    `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
+    before, and for a script on the stock image.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    number: Annotated[int, Field(ge=1)]
+    definition: ActionDefinition
+    image_digest: str | None
+    created_at: datetime.datetime
+    created_by: PersonRef
+
+
+class ActionRead(BaseModel):
+    """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    description: str
+    project: ProjectRef | None
+    latest: ActionVersionRead
+    archived: bool
+    created_at: datetime.datetime
+    created_by: PersonRef
+    may_change: bool
+
+
+class ActionFilter(BaseModel):
+    """Which actions are wanted. `name` may be a glob; `project_id`: those of a project and the whole lab's."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Term | None = None
+    project_id: uuid.UUID | None = None
+    archived: bool | None = False

@@ -9,16 +9,15 @@ A run has a folder, which outlives the process of the runner:
     ...       and what the executor keeps beside
 """
 
-import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.runs import EndReason
+from kleinkram.contract.runners import Abilities
+from kleinkram.contract.runs import EndReason, Usage
 
-LOG_BYTES = 100 * 2**20
 GRACE_S = 3.0
 
 
@@ -45,36 +44,6 @@ class Ending:
     reason: EndReason
     message: str
     exit_code: int | None = None
-
-
-@dataclass(frozen=True)
-class Usage:
-    """What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen."""
-
-    cpu_s: float
-    memory_bytes: int
-    peak_memory_bytes: int
-    read_bytes: int
-    written_bytes: int
-
-
-class Isolation(str, enum.Enum):
-    """How well a run is kept away from its machine and from others."""
-
-    container = "container"
-    namespaces = "namespaces"
-    none = "none"
-
-
-@dataclass(frozen=True)
-class Abilities:
-    """What an executor can do. `images`: run container images, not only scripts."""
-
-    isolation: Isolation
-    images: bool
-    networks: frozenset[Network]
-    gpus: bool
-    bounds_memory: bool
 
 
 class CannotStart(Exception):

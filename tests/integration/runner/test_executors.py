@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.process import executor as process_executor
-from kleinkram.runner.work import GRACE_S, CannotStart, Isolation
+from kleinkram.runner.work import GRACE_S, CannotStart
 from tests.integration.runner.conftest import Bench, log_of
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"

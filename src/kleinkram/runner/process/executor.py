@@ -11,9 +11,10 @@ from pathlib import Path
 
 from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runs import EndReason
+from kleinkram.contract.runners import Abilities, Isolation
+from kleinkram.contract.runs import LOG_BYTES, EndReason, Usage
 from kleinkram.runner.process import room, warden
-from kleinkram.runner.work import GRACE_S, LOG_BYTES, Abilities, CannotStart, Ending, Isolation, Usage, Work
+from kleinkram.runner.work import GRACE_S, CannotStart, Ending, Work
 
 _PROCESS = "warden.json"
 # As root, each run is a uid of its own, of those that no system gives to anybody.
@@ -35,11 +36,13 @@ class ProcessExecutor:
         """What it can do here. Without a room, a run reads and reaches whatever its runner does."""
         networks = {Network.none, Network.open} if self._is_isolated else {Network.open}
         return Abilities(
+            executor="process",
             isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
             images=False,
             networks=frozenset(networks),
             gpus=False,
             bounds_memory=True,
+            bounds_disk=True,
         )
 
     def start(self, work: Work) -> None:

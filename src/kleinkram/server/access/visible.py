@@ -160,7 +160,9 @@ def level_on_project(actor: Actor) -> ColumnElement[int]:
     """Return the level of `actor`'s right on each `project` of a select; 0 where there is none."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return func.greatest(_public_level(), _granted_level(actor, (access_grant.c.project_id, project.c.id), project))
+    return func.greatest(
+        _public_level(), _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project)
+    )
 
 
 def level_on_mission(actor: Actor) -> ColumnElement[int]:
@@ -169,21 +171,21 @@ def level_on_mission(actor: Actor) -> ColumnElement[int]:
         return literal(Right.delete.level)
     if actor.kind is ActorKind.share:
         return literal(Right.read.level)
-    return func.greatest(_public_level(), *_levels_granted_on_mission(actor))
+    return _public_or_granted_level(actor.person_id)
 
 
 def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
     """Return the level of `actor`'s right on each `project` of a select that lasts until then, or for good."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return _granted_level(actor, (access_grant.c.project_id, project.c.id), project, _lasting(until))
+    return _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project, _lasting(until))
 
 
 def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
     """Return the same on each `mission` of a select."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return func.greatest(*_levels_granted_on_mission(actor, _lasting(until)))
+    return func.greatest(*_levels_granted_on_mission(actor.person_id, _lasting(until)))
 
 
 def visible_people(actor: Actor) -> Select[Any]:
@@ -273,7 +275,7 @@ def _reaches_project(actor: Actor, right: Right) -> ColumnElement[bool]:
     within = true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
     if actor.is_admin:
         return within
-    return and_(within, project.c.id.in_(_my_projects(actor, right)))
+    return and_(within, project.c.id.in_(_my_projects(actor.person_id, right)))
 
 
 def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
@@ -283,18 +285,21 @@ def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
         within = or_(*places)
     if actor.kind is ActorKind.share:
         return within if right is Right.read else false()
-    if actor.is_admin:
-        return within
-    by_mission = mission.c.id.in_(_granted(actor, access_grant.c.mission_id, right))
-    return and_(within, or_(mission.c.project_id.in_(_my_projects(actor, right)), by_mission))
+    return within if actor.is_admin else and_(within, _granted_on_mission(actor.person_id, right))
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _granted_on_mission(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
+    by_mission = mission.c.id.in_(_granted_to(person_id, access_grant.c.mission_id, right))
+    return or_(mission.c.project_id.in_(_my_projects(person_id, right)), by_mission)
 
 
 def _reaches_file(actor: Actor, right: Right) -> ColumnElement[bool]:
     return and_(_reaches_mission(actor, right), shown_files(actor))
 
 
-def _my_projects(actor: Actor, right: Right) -> Select[Any] | CompoundSelect[Any]:
-    granted = _granted(actor, access_grant.c.project_id, right)
+def _my_projects(person_id: uuid.UUID | None, right: Right) -> Select[Any] | CompoundSelect[Any]:
+    granted = _granted_to(person_id, access_grant.c.project_id, right)
     return union_all(granted, select(_public.c.id).where(_public.c.is_public)) if right is Right.read else granted
 
 
@@ -325,18 +330,25 @@ def _granted_to(person_id: uuid.UUID | None, place: ColumnElement[Any], right: R
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
-def _levels_granted_on_mission(actor: Actor, still: Still = unexpired) -> list[ColumnElement[int]]:
+@functools.lru_cache(maxsize=_KEPT)
+def _public_or_granted_level(person_id: uuid.UUID | None) -> ColumnElement[int]:
+    return func.greatest(_public_level(), *_levels_granted_on_mission(person_id))
+
+
+def _levels_granted_on_mission(person_id: uuid.UUID | None, still: Still = unexpired) -> list[ColumnElement[int]]:
     # Two looks, each into its own index: with OR, the database may well go through all grants of all the groups.
     return [
-        _granted_level(actor, (access_grant.c.project_id, mission.c.project_id), mission, still),
-        _granted_level(actor, (access_grant.c.mission_id, mission.c.id), mission, still),
+        _granted_level(person_id, (access_grant.c.project_id, mission.c.project_id), mission, still),
+        _granted_level(person_id, (access_grant.c.mission_id, mission.c.id), mission, still),
     ]
 
 
-def _granted_level(actor: Actor, place: Place, outer: Any, still: Still = unexpired) -> ColumnElement[int]:
+def _granted_level(
+    person_id: uuid.UUID | None, place: Place, outer: Any, still: Still = unexpired
+) -> ColumnElement[int]:
     # What lasts until some moment is asked for seldom, and each time of another.
     level = _level_granted_to if still is unexpired else _level_granted_to.__wrapped__
-    return level(actor.person_id, place, outer, still)
+    return level(person_id, place, outer, still)
 
 
 @functools.lru_cache(maxsize=_KEPT)

@@ -1,0 +1,278 @@
+"""What runners and the server say to each other. A runner asks, over HTTPS, with a runner's token; nothing calls it.
+
+All that it says about a run carries the attempt by which it holds the run, and is refused once another one counts.
+"""
+
+import datetime
+import enum
+import uuid
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kleinkram.contract.actions import Network, ParameterValues, Resources
+from kleinkram.contract.names import Label
+from kleinkram.contract.reports import Progress, Report
+from kleinkram.contract.runs import ActionRef, EndReason, RunState, Sample, Usage
+from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
+
+# A run is held for so long after its runner was last heard of, by the database's clock.
+LEASE_S = 60
+# So often a runner says what its runs are at; so soon it hears that one is to be cancelled.
+BEAT_S = 2.0
+MAX_WAIT_S = 25
+# The path of a run's whole log among what a runner sends at its end; no artifact can have it.
+LOG_PATH = ".kleinkram/log"
+
+Attempt = Annotated[int, Field(ge=1)]
+
+
+class Isolation(str, enum.Enum):
+    """How well a run is kept away from its machine and from others."""
+
+    container = "container"
+    namespaces = "namespaces"
+    none = "none"
+
+
+class Abilities(BaseModel):
+    """What an executor can do. `images`: run container images, not only scripts."""
+
+    model_config = ConfigDict(frozen=True)
+
+    executor: Annotated[str, Field(pattern=r"^[a-z]{1,32}$")]
+    isolation: Isolation
+    images: bool
+    networks: frozenset[Network]
+    gpus: bool
+    bounds_memory: bool
+    bounds_disk: bool
+
+
+class Capacity(BaseModel):
+    """What a machine has, or has free, for runs."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cores: Annotated[float, Field(ge=0, le=100_000)]
+    memory_bytes: Annotated[int, Field(ge=0, lt=2**63)]
+    disk_bytes: Annotated[int, Field(ge=0, lt=2**63)]
+    gpus: Annotated[int, Field(ge=0, le=1000)]
+
+
+class RunnerHello(BaseModel):
+    """A runner says what it is, whenever it starts. `id` is its own for good: it keeps it in its folder.
+
+    `stock_image` is the digest of the image that it runs scripts on; null where it has none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    id: uuid.UUID
+    name: Label
+    labels: Annotated[list[Label], Field(max_length=50)] = []
+    capacity: Capacity
+    abilities: Abilities
+    stock_image: Annotated[str, Field(max_length=200)] | None = None
+    version: Annotated[str, Field(max_length=64)]
+
+
+class RunnerRead(BaseModel):
+    """A runner, as admins see it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    labels: list[str]
+    capacity: Capacity
+    abilities: Abilities
+    stock_image: str | None
+    version: str
+    last_seen_at: datetime.datetime
+    is_alive: bool
+    active_runs: int
+
+
+class ClaimAsk(BaseModel):
+    """What is free for a further run, and how long to wait for one. `held`: the runs that the runner knows it has."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    free: Capacity
+    wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S)] = 0
+    held: Annotated[list[uuid.UUID], Field(max_length=10_000)] = []
+
+
+class ClaimInput(BaseModel):
+    """A file that a run is given."""
+
+    model_config = ConfigDict(frozen=True)
+
+    path: str
+    size_bytes: int
+    sha256: Sha256
+
+
+class Claim(BaseModel):
+    """A run that is this runner's until its lease ends. `image` is pinned by its digest where that is known.
+
+    `token` is there with the network `api`: it is for the run, and good as long as the run lasts.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    run_id: uuid.UUID
+    attempt: Attempt
+    project_id: uuid.UUID
+    mission_id: uuid.UUID
+    action: ActionRef
+    image: str | None
+    command: list[str]
+    script: str | None
+    dependencies: list[str]
+    parameters: ParameterValues
+    resources: Resources
+    network: Network
+    inputs: list[ClaimInput]
+    token: Annotated[str | None, Field(repr=False)]
+    lease_s: float
+
+
+class Claimed(BaseModel):
+    """The answer to a claim; null where nothing came that fits."""
+
+    model_config = ConfigDict(frozen=True)
+
+    claim: Claim | None
+
+
+class Beat(BaseModel):
+    """What one run is at. `started`: its container was. Samples are those since the last beat."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    run_id: uuid.UUID
+    attempt: Attempt
+    state: RunState
+    progress: Progress | None = None
+    image_digest: Annotated[str, Field(max_length=200)] | None = None
+    usage: Usage | None = None
+    samples: Annotated[list[Sample], Field(max_length=100)] = []
+
+
+class Beats(BaseModel):
+    """What all runs of a runner are at."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    runs: Annotated[list[Beat], Field(max_length=1000)]
+
+
+class Verdict(str, enum.Enum):
+    """What becomes of a run: it goes on, it is to be ended because somebody says so, or it is not this runner's."""
+
+    go_on = "go_on"
+    cancel = "cancel"
+    gone = "gone"
+
+
+class BeatAnswer(BaseModel):
+    """What becomes of one run."""
+
+    model_config = ConfigDict(frozen=True)
+
+    run_id: uuid.UUID
+    attempt: Attempt
+    verdict: Verdict
+
+
+class BeatAnswers(BaseModel):
+    """What becomes of each, and how long they are held from now on."""
+
+    model_config = ConfigDict(frozen=True)
+
+    runs: list[BeatAnswer]
+    lease_s: float
+
+
+class InputsAsk(BaseModel):
+    """Inputs to be fetched."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    attempt: Attempt
+    paths: Annotated[list[Annotated[str, Field(max_length=1024)]], Field(min_length=1, max_length=1000)]
+
+
+class InputUrls(BaseModel):
+    """Where to GET each, in the order asked, before `expires_at`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    urls: list[str]
+    expires_at: datetime.datetime
+
+
+class SegmentAsk(BaseModel):
+    """A piece of the log about to be stored: where it begins in the log, its size, and its checksums."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    attempt: Attempt
+    offset: Annotated[int, Field(ge=0, lt=2**40)]
+    size_bytes: Annotated[int, Field(ge=1, le=8 * 2**20)]
+    sha256: Sha256
+    crc64nvme: Crc64
+    md5: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+
+
+class SegmentPut(BaseModel):
+    """PUT the piece's bytes to `url` with exactly these headers, then say so."""
+
+    model_config = ConfigDict(frozen=True)
+
+    url: str
+    headers: dict[str, str]
+
+
+class SegmentKept(BaseModel):
+    """A piece of the log that was stored: from now on people see it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    attempt: Attempt
+    offset: Annotated[int, Field(ge=0, lt=2**40)]
+    size_bytes: Annotated[int, Field(ge=1, le=8 * 2**20)]
+
+
+class ArtifactsBegin(BaseModel):
+    """Artifacts to upload, and the whole log under `LOG_PATH`: by the same protocol as files of a mission."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    attempt: Attempt
+    files: Annotated[list[UploadFile], Field(min_length=1, max_length=200)]
+
+
+class RunFinish(BaseModel):
+    """How a run ended, once all that it left is uploaded. Said again, the same answer comes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    attempt: Attempt
+    reason: EndReason
+    message: Annotated[str, Field(max_length=2000)]
+    exit_code: Annotated[int, Field(ge=-(2**31), lt=2**31)] | None = None
+    report: Report = Report()
+    problems: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
+    usage: Usage | None = None
+    samples: Annotated[list[Sample], Field(max_length=100)] = []
+
+
+class RunFinished(BaseModel):
+    """What became of the run."""
+
+    model_config = ConfigDict(frozen=True)
+
+    state: RunState
