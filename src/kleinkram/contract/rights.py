@@ -38,11 +38,12 @@ class Scope(str, enum.Enum):
 
 
 class TokenKind(str, enum.Enum):
-    """Who carries a token: a person's script, a robot, or a runner of actions."""
+    """Who carries a token: a person's script, a robot, a runner of actions, or one run while it lasts."""
 
     personal = "personal"
     robot = "robot"
     runner = "runner"
+    run = "run"
 
 
 class GroupKind(str, enum.Enum):

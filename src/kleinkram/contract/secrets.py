@@ -14,16 +14,17 @@ _DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 CHECKSUM_CHARACTERS = 6
 RANDOM_CHARACTERS = 43
 # What a scanner looks for; `is_whole` then says whether the find is one.
-PATTERN = r"klein_(?:pat|robot|runner|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
+PATTERN = r"klein_(?:pat|robot|runner|run|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
 _PATTERN = re.compile(PATTERN, re.ASCII)
 
 
 class SecretKind(str, enum.Enum):
-    """What a secret opens: what a person, a robot or a runner may do, or what a link shows."""
+    """What a secret opens: what a person, a robot, a runner or a run may do, or what a link shows."""
 
     personal = "pat"
     robot = "robot"
     runner = "runner"
+    run = "run"
     link = "link"
 
 

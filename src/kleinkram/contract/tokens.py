@@ -16,6 +16,7 @@ DEFAULT_SCOPES = {
     TokenKind.personal: (Scope.write,),
     TokenKind.robot: (Scope.upload,),
     TokenKind.runner: (Scope.run,),
+    TokenKind.run: (Scope.read,),
 }
 Places = Annotated[list[uuid.UUID], Field(max_length=100)]
 
@@ -47,6 +48,8 @@ class TokenCreate(BaseModel):
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Self:
+        if self.kind is TokenKind.run:
+            raise ValueError("a run's token comes with the run; nobody makes one")
         if self.kind is TokenKind.robot and not self.is_limited:
             raise ValueError("a robot's token must be limited to projects or missions")
         if self.kind is TokenKind.robot and Scope.admin in self.chosen_scopes:

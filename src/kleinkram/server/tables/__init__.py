@@ -1,6 +1,7 @@
 """The data model: one module a noun. Constraints and indexes stand here; what the database can hold, it holds."""
 
 from kleinkram.server.tables.access_group import access_grant, access_group, affiliation, affiliation_domain, membership
+from kleinkram.server.tables.action import action, action_version
 from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blob import blob, topic
@@ -10,6 +11,8 @@ from kleinkram.server.tables.mission import mission
 from kleinkram.server.tables.mission_topic import mission_topic, mission_topics
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
+from kleinkram.server.tables.run import log_segment, run, run_artifact, run_finding, run_input, run_metric
+from kleinkram.server.tables.runner import runner
 from kleinkram.server.tables.share import share, share_file
 from kleinkram.server.tables.signing_in import (
     identity,
@@ -25,6 +28,8 @@ from kleinkram.server.tables.upload import upload
 __all__ = [
     "access_grant",
     "access_group",
+    "action",
+    "action_version",
     "affiliation",
     "affiliation_domain",
     "audit_event",
@@ -32,6 +37,7 @@ __all__ = [
     "file",
     "identity",
     "job_error",
+    "log_segment",
     "login_request",
     "membership",
     "metadata",
@@ -46,6 +52,12 @@ __all__ = [
     "project",
     "rate_count",
     "recording",
+    "run",
+    "run_artifact",
+    "run_finding",
+    "run_input",
+    "run_metric",
+    "runner",
     "session",
     "share",
     "share_file",

@@ -59,7 +59,7 @@ file = Table(
     Column("deleted_by_id", Uuid, ForeignKey("person.id")),
     CheckConstraint("char_length(path) BETWEEN 1 AND 1024", name="path_length"),
     CheckConstraint("(deleted_at IS NULL) = (deleted_by_id IS NULL)", name="deleted"),
-    CheckConstraint("origin IN ('upload', 'link')", name="origin"),
+    CheckConstraint("origin IN ('upload', 'link', 'run')", name="origin"),
     Index("uq_file_path_key_live", "mission_id", "path_key", unique=True, postgresql_where=text("deleted_at IS NULL")),
     Index("ix_file_path", "mission_id", "path", "id"),
     Index("ix_file_created_at", "created_at", "id"),

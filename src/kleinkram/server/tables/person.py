@@ -18,7 +18,7 @@ from sqlalchemy import (
     text,
 )
 
-from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 person = Table(
@@ -79,7 +79,12 @@ token = Table(
     Column("revoked_at", DateTime(timezone=True)),
     # With which token it was made: it ends with that one. None where somebody was signed in by a browser.
     Column("made_by_token_id", Uuid, ForeignKey("token.id"), index=True),
+    # A run's: good while that run lasts, and for no more than `most`.
+    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), index=True),
+    Column("most", Text),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+    CheckConstraint("(kind = 'run') = (run_id IS NOT NULL) AND (run_id IS NULL) = (most IS NULL)", name="run"),
+    one_of("most", Right),
     CheckConstraint(
         f"scopes <@ ARRAY[{', '.join(repr(scope.value) for scope in Scope)}]::text[]",
         name="scopes",

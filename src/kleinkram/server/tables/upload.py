@@ -26,6 +26,8 @@ upload = Table(
     id_column(),
     Column("mission_id", Uuid, ForeignKey("mission.id"), nullable=False),
     Column("person_id", Uuid, ForeignKey("person.id"), nullable=False),
+    # Of a run's artifact, whose path is one among those of the run; null where it becomes a file of the mission.
+    Column("run_id", Uuid, ForeignKey("run.id"), index=True),
     sorted_text("path"),
     sorted_text("path_key"),
     Column("size_bytes", BigInteger, nullable=False),
@@ -63,7 +65,14 @@ upload = Table(
         "mission_id",
         "path_key",
         unique=True,
-        postgresql_where=text("state IN ('open', 'completing')"),
+        postgresql_where=text("state IN ('open', 'completing') AND run_id IS NULL"),
+    ),
+    Index(
+        "uq_upload_run_path_active",
+        "run_id",
+        "path",
+        unique=True,
+        postgresql_where=text("state IN ('open', 'completing') AND run_id IS NOT NULL"),
     ),
     Index("ix_upload_expires_at", "expires_at", postgresql_where=text("state IN ('open', 'completing')")),
     # For deleting a file or a mission: the rows that refer to it are found without reading all.

@@ -35,6 +35,7 @@ _SECRETS = {
     TokenKind.personal: SecretKind.personal,
     TokenKind.robot: SecretKind.robot,
     TokenKind.runner: SecretKind.runner,
+    TokenKind.run: SecretKind.run,
 }
 
 
