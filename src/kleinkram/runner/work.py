@@ -9,7 +9,7 @@ A run has a folder, which outlives the process of the runner:
     ...       and what the executor keeps beside
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -22,10 +22,31 @@ GRACE_S = 3.0
 
 
 @dataclass(frozen=True)
+class Door:
+    """A way out for a run with the network `api`: what it reaches as `host` and `port` is the target, and only that.
+
+    A run sees `host` and `port` as they stand in the URL of the API or of the store; the target is from the runner.
+    """
+
+    host: str
+    port: int
+    target_host: str
+    target_port: int
+
+
+@dataclass(frozen=True)
+class ImagePinned:
+    """An image at hand. `reference` names it for `Work.image` on this machine, `digest` (`sha256:…`) everywhere."""
+
+    reference: str
+    digest: str
+
+
+@dataclass(frozen=True)
 class Work:
     """One attempt at a run. `key` is its name on this machine: unique among all attempts, of letters, digits, `-`.
 
-    `command` empty: the image's own.
+    `command` empty: the image's own. Otherwise it is what `docker run` would be given after the image.
     """
 
     key: str
@@ -35,6 +56,7 @@ class Work:
     resources: Resources
     network: Network
     environment: Mapping[str, str] = field(default_factory=dict)
+    doors: tuple[Door, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -61,6 +83,13 @@ class Executor(Protocol):
     def abilities(self) -> Abilities:
         """What it can do on this machine."""
 
+    def prepare(self, image: str) -> ImagePinned:
+        """Have an image at hand, fetched where that is needed and allowed, which may take long.
+
+        Raises:
+            CannotStart: it cannot be had.
+        """
+
     def start(self, work: Work) -> None:
         """Start a run and return while it lasts.
 
@@ -79,3 +108,6 @@ class Executor(Protocol):
 
     def remove(self, work: Work) -> None:
         """Kill what is left of a run and forget it; its folder stays."""
+
+    def sweep(self, known: Collection[str]) -> None:
+        """Kill what is left of this runner's runs, but for those with a known key."""

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Collection
 from pathlib import Path
 
 from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
@@ -14,13 +15,14 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Abilities, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason, Usage
 from kleinkram.runner.process import room, warden
-from kleinkram.runner.work import GRACE_S, CannotStart, Ending, Work
+from kleinkram.runner.work import GRACE_S, CannotStart, Ending, ImagePinned, Work
 
 _PROCESS = "warden.json"
 # As root, each run is a uid of its own, of those that no system gives to anybody.
 _FIRST_UID = 1_000_000_000
 _UIDS = 1_000_000_000
 _LOOK_EVERY_S = 0.02
+_NO_IMAGES = Ending(EndReason.not_possible, "Without an engine of containers, no image can be run.")
 _LOST = Ending(EndReason.lost, "Its processes were killed together with the one that watched them.")
 
 
@@ -45,6 +47,14 @@ class ProcessExecutor:
             bounds_disk=True,
         )
 
+    def prepare(self, image: str) -> ImagePinned:
+        """Run no image.
+
+        Raises:
+            CannotStart: always.
+        """
+        raise CannotStart(_NO_IMAGES)
+
     def start(self, work: Work) -> None:
         """Start a run and return while it lasts.
 
@@ -52,7 +62,7 @@ class ProcessExecutor:
             CannotStart: it asks for an image, or for what this machine does not give; its command is not there.
         """
         if work.image is not None:
-            raise CannotStart(Ending(EndReason.not_possible, "Without an engine of containers, no image can be run."))
+            raise CannotStart(_NO_IMAGES)
         if work.network not in self.abilities.networks:
             message = f"Without an engine of containers, no run here has the network {work.network.value!r}."
             raise CannotStart(Ending(EndReason.not_possible, message))
@@ -108,6 +118,9 @@ class ProcessExecutor:
         known = self._wardens.pop(work.key, None)
         if known is not None:
             known.wait()
+
+    def sweep(self, known: Collection[str]) -> None:
+        """Do nothing: a run of which nobody knows the folder ends by itself, with its time."""
 
     def _prepare(self, work: Work) -> None:
         uid = _FIRST_UID + zlib.crc32(work.key.encode()) % _UIDS if os.getuid() == 0 and self._is_isolated else None
