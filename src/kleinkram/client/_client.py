@@ -7,6 +7,7 @@ from typing_extensions import Self
 
 from kleinkram.client._http import Api
 from kleinkram.client.access import Access
+from kleinkram.client.actions import Actions
 from kleinkram.client.admin import Admin
 from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
@@ -19,6 +20,7 @@ from kleinkram.client.missions import Missions
 from kleinkram.client.people import People
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
+from kleinkram.client.runs import Runs
 from kleinkram.client.search import Search
 from kleinkram.client.service import Service
 from kleinkram.client.shares import Shares
@@ -42,6 +44,8 @@ class Client:
         self.files = Files(api)
         self.recordings = Recordings(api)
         self.uploads = Uploads(api)
+        self.actions = Actions(api)
+        self.runs = Runs(api)
         self.access = Access(api)
         self.groups = Groups(api)
         self.people = People(api)

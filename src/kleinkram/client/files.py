@@ -19,6 +19,7 @@ from kleinkram.contract.files import (
     TopicRead,
 )
 from kleinkram.contract.names import is_id
+from kleinkram.contract.runs import LineageRead
 from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
 
@@ -70,6 +71,10 @@ class Files:
     def topics(self, file_id: uuid.UUID) -> Iterator[TopicRead]:
         """Yield the topics of one file, by name."""
         return pages(self._api, f"/files/{file_id}/topics", TopicRead, [])
+
+    def lineage(self, file_id: uuid.UUID) -> LineageRead:
+        """Return which run made a file, of what, and which runs have read it, and what they made: a step each way."""
+        return self._api.get(f"/files/{file_id}/lineage", LineageRead)
 
     def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Iterator[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""

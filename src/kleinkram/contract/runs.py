@@ -268,6 +268,22 @@ class ArtifactUrl(BaseModel):
     expires_at: datetime.datetime
 
 
+class ArtifactsRequest(BaseModel):
+    """Artifacts of a run to fetch."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
+
+
+class ArtifactUrls(BaseModel):
+    """Where to fetch them, in the order asked."""
+
+    model_config = ConfigDict(frozen=True)
+
+    items: list[ArtifactUrl]
+
+
 class FindingRead(BaseModel):
     """A finding, and the run that said it."""
 

@@ -4,10 +4,12 @@ import datetime
 import hashlib
 import uuid
 
+from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Network
 from kleinkram.contract.files import BlobState, ContentState, DownloadLink, FileRead
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.runs import ActionRef, Cause, RunDetail, RunState
 
 NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
 
@@ -46,3 +48,53 @@ def link_to(file: FileRead, *, sha256: str | None, crc64nvme: str | None = None)
         url="http://store/key",
         expires_at=NOW,
     )
+
+
+def action_read(name: str, *, project: str | None = None, number: int = 1) -> ActionRead:
+    """An action that looks at everything."""
+    person = PersonRef(id=uuid.uuid4(), name="ada")
+    definition = ActionDefinition(name=name, script="print(1)")
+    latest = ActionVersionRead(
+        id=uuid.uuid4(), number=number, definition=definition, image_digest=None, created_at=NOW, created_by=person
+    )
+    return ActionRead(
+        id=uuid.uuid4(),
+        name=name,
+        description="",
+        project=None if project is None else ProjectRef(id=uuid.uuid4(), name=project),
+        latest=latest,
+        archived=False,
+        created_at=NOW,
+        created_by=person,
+        may_change=True,
+    )
+
+
+def run_detail(state: RunState, **more: object) -> RunDetail:
+    """A run of a script on a mission."""
+    given: dict[str, object] = dict.fromkeys(RunDetail.model_fields)
+    given |= {
+        "id": uuid.uuid4(),
+        "mission": MissionRef(id=uuid.uuid4(), name="day", project=ProjectRef(id=uuid.uuid4(), name="alps")),
+        "action": ActionRef(id=uuid.uuid4(), name="look", version=1),
+        "version_id": uuid.uuid4(),
+        "network": Network.none,
+        "parameters": {},
+        "state": state,
+        "message": "",
+        "attempt": 1,
+        "cause": Cause(person=PersonRef(id=uuid.uuid4(), name="ada")),
+        "input_count": 1,
+        "input_bytes": 10,
+        "artifact_count": 0,
+        "finding_counts": {},
+        "metric_count": 0,
+        "created_at": NOW,
+        "may_cancel": False,
+        "definition": ActionDefinition(name="look", script="print(1)"),
+        "problems": [],
+        "metadata": {},
+        "previews": [],
+        "samples": [],
+    }
+    return RunDetail.model_validate(given | more)

@@ -21,7 +21,7 @@ def test_a_client_has_one_attribute_a_noun() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
         nouns = {name for name in vars(client) if not name.startswith("_")} - {"endpoint"}
     assert nouns >= {"projects", "missions", "files", "recordings", "uploads", "trash", "stats", "audit"}
-    assert nouns >= {"service", "me", "search"}
+    assert nouns >= {"service", "me", "search", "actions", "runs"}
 
 
 def test_importing_the_package_imports_nothing_else() -> None:

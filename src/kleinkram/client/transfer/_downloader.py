@@ -14,7 +14,6 @@ import urllib3
 from kleinkram.client._http import store_unreachable
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed
-from kleinkram.client.files import Files
 from kleinkram.client.transfer._fetching import Fetching
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._place import make_folders, regular_size
@@ -36,6 +35,10 @@ _REFUSALS = 4
 _OF_ONE_FILE = (DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed, FileUnavailable, NotFound)
 
 
+# Returns where to read some files, by their ids, in the order asked.
+Links = Callable[[Sequence[uuid.UUID]], Sequence[DownloadLink]]
+
+
 @dataclass(frozen=True)
 class _Piece:
     fetching: Fetching
@@ -49,14 +52,14 @@ class Downloader:
 
     def __init__(
         self,
-        files: Files,
+        links: Links,
         *,
         pace: Pace,
         watcher: Watcher,
         overwrite: bool,
         ended: Callable[[TransferResult], None],
     ) -> None:
-        self._files = files
+        self._links = links
         self._stop = Stop()
         self._pace = pace
         self._watcher = watcher
@@ -139,7 +142,7 @@ class Downloader:
         if not batch:
             return
         try:
-            links = self._files.links([target.file.id for target in batch]).items
+            links = self._links([target.file.id for target in batch])
         except (FileUnavailable, NotFound) as error:
             if len(batch) == 1:
                 self._end(batch[0], Outcome.refused, error=error)
@@ -197,7 +200,7 @@ class Downloader:
                     raise self._gave_up(fetching, answer)
             elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
                 refusals += 1
-                fetching.link = self._files.links([fetching.link.file_id]).items[0]
+                fetching.link = self._links([fetching.link.file_id])[0]
             else:
                 raise TransferFailed(path=fetching.link.path, reason=answer.reason)
 

@@ -94,6 +94,10 @@ class Uploader:
         self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)
         self._leased: dict[LocalFile, NameLeased] = {}
 
+    def end(self) -> None:
+        """End it, from another thread: `run` returns soon, and files that had not ended stay as they are."""
+        self._stop.now()
+
     def run(self, files: Sequence[LocalFile], connections: int) -> None:
         """Upload the files; returns when each has ended.
 

@@ -7,13 +7,14 @@ from pathlib import Path, PurePosixPath
 from kleinkram.client.errors import DestinationRefused, PathsCollide
 from kleinkram.client.transfer._place import check_relative
 from kleinkram.contract.files import FileRead
+from kleinkram.contract.runs import ArtifactRead
 
 
 @dataclass(frozen=True)
 class Target:
-    """A file and where it goes: `relative` below `dest`."""
+    """A file of a mission, or an artifact of a run, and where it goes: `relative` below `dest`."""
 
-    file: FileRead
+    file: FileRead | ArtifactRead
     dest: Path
     relative: str
 
@@ -43,7 +44,7 @@ def plan_download(files: Iterable[FileRead], dest: Path, *, nested: bool = False
         PathsCollide: two files would have the same place, or one would be a folder of the other; names both.
     """
     plan = DownloadPlan()
-    places: dict[str, Target] = {}
+    places: dict[str, tuple[FileRead, Target]] = {}
     for file in files:
         above = f"{file.mission.project.name}/{file.mission.name}/" if nested else ""
         try:
@@ -51,19 +52,33 @@ def plan_download(files: Iterable[FileRead], dest: Path, *, nested: bool = False
         except DestinationRefused as error:
             plan.left_out.append(error)
             continue
-        if (other := places.setdefault(target.relative, target)) is not target:
-            raise _collision(target, other, nested=nested)
+        other, first = places.setdefault(target.relative, (file, target))
+        if first is not target:
+            raise _collision(target, file, other, nested=nested)
         plan.targets.append(target)
-    for target in plan.targets:
+    for file, target in [*places.values()]:
         for folder in PurePosixPath(target.relative).parents:
             if str(folder) in places:
-                raise _collision(target, places[str(folder)], nested=nested)
+                raise _collision(target, file, places[str(folder)][0], nested=nested)
     return plan
 
 
-def _collision(one: Target, other: Target, *, nested: bool) -> PathsCollide:
-    collision = PathsCollide(path=str(one.local), first=_place(other.file), second=_place(one.file))
-    if not nested and one.file.mission.id != other.file.mission.id:
+def plan_artifacts(artifacts: Iterable[ArtifactRead], dest: Path) -> DownloadPlan:
+    """Return where these artifacts of one run go below `dest`: by their paths under its `/out`."""
+    plan = DownloadPlan()
+    for artifact in artifacts:
+        try:
+            target = Target(artifact, dest, check_relative(artifact.path))
+        except DestinationRefused as error:
+            plan.left_out.append(error)
+            continue
+        plan.targets.append(target)
+    return plan
+
+
+def _collision(target: Target, file: FileRead, other: FileRead, *, nested: bool) -> PathsCollide:
+    collision = PathsCollide(path=str(target.local), first=_place(other), second=_place(file))
+    if not nested and file.mission.id != other.mission.id:
         collision.remedy = "keep the missions apart with --nested (in the SDK nested=True), or download one at a time"
     return collision
 

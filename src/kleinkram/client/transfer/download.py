@@ -7,7 +7,7 @@ import uuid
 
 from kleinkram.client._client import Client
 from kleinkram.client.errors import DestinationRefused, DiskFull
-from kleinkram.client.transfer._downloader import Downloader
+from kleinkram.client.transfer._downloader import Downloader, Links
 from kleinkram.client.transfer._place import PART_SUFFIX, part_file
 from kleinkram.client.transfer.destination import DownloadPlan, Target
 from kleinkram.client.transfer.outcome import TransferReport, TransferResult
@@ -35,6 +35,26 @@ def download(
         DiskFull: there is no room for all of it.
         ServerUnreachable, StoreUnreachable: one of them stayed away.
     """
+    return fetch(
+        lambda file_ids: client.files.links(file_ids).items,
+        plan,
+        overwrite=overwrite,
+        connections=connections,
+        bytes_per_s=bytes_per_s,
+        watcher=watcher,
+    )
+
+
+def fetch(
+    links: Links,
+    plan: DownloadPlan,
+    *,
+    overwrite: bool = False,
+    connections: int = CONNECTIONS,
+    bytes_per_s: float | None = None,
+    watcher: Watcher | None = None,
+) -> TransferReport:
+    """Download what is planned from where `links` says it is; all else is as in `download`."""
     watcher = watcher or Unwatched()
     results: dict[uuid.UUID | None, TransferResult] = {}
     lock = threading.Lock()
@@ -47,7 +67,7 @@ def download(
     if plan.targets:
         _check_room(plan)
     watcher.began(len(plan.targets), plan.size_bytes)
-    downloader = Downloader(client.files, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended)
+    downloader = Downloader(links, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended)
     downloader.run(plan.targets, connections)
     return TransferReport([results[target.file.id] for target in plan.targets], plan.left_out)
 

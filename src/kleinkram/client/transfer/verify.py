@@ -14,6 +14,7 @@ from kleinkram.client.transfer._source import WholeHash, read_slice
 from kleinkram.client.transfer.plan import UploadPlan
 from kleinkram.contract.files import BlobState, FileFilter, FileRead
 from kleinkram.contract.names import name_key
+from kleinkram.contract.runs import ArtifactRead
 
 _POLL_S = 0.5
 
@@ -80,12 +81,15 @@ def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) 
     return [_proven(answers[file.id]) for file in asked]
 
 
-def is_same(file: FileRead, local: Path, check: Callable[[], None]) -> bool:
+def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None]) -> bool:
     """Say whether a local file is, byte for byte, what the server keeps; `check` may end the reading."""
     try:
         if local.is_symlink() or not local.is_file() or local.stat().st_size != file.size_bytes:
             return False
-        return _judge(file, file.size_bytes, _sums(local, check)) is Verdict.same
+        sums = _sums(local, check)
+        if isinstance(file, ArtifactRead):
+            return sums.sha256.hexdigest() == file.sha256
+        return _judge(file, file.size_bytes, sums) is Verdict.same
     except FileUnreadable:
         return False
 

@@ -1,0 +1,113 @@
+"""Actions, for programs: definitions of what to run on the data of a mission, in versions that never change."""
+
+import uuid
+from collections.abc import Iterator
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._paging import pages
+from kleinkram.client.checking import checked
+from kleinkram.client.projects import Projects
+from kleinkram.client.references import the_one
+from kleinkram.contract.actions import (
+    ActionCreate,
+    ActionDefinition,
+    ActionFilter,
+    ActionRead,
+    ActionUpdate,
+    ActionVersionRead,
+    VersionCreate,
+)
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.names import is_id
+
+
+class Actions:
+    """`client.actions`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def list(
+        self,
+        *,
+        name: str | None = None,
+        project: str | uuid.UUID | None = None,
+        archived: bool = False,
+        limit: int | None = None,
+    ) -> Iterator[ActionRead]:
+        """Yield actions by name, which may be a glob; of a project: its own, and the whole lab's.
+
+        Those that are archived are listed alone.
+
+        Raises:
+            NotFound: there is no such project.
+        """
+        matching = checked(
+            ActionFilter, "The filter", name=name, project_id=self._project_id(project), archived=archived
+        )
+        return pages(self._api, "/actions", ActionRead, query_of(matching), limit=limit)
+
+    def get(self, ref: str | uuid.UUID, *, project: str | uuid.UUID | None = None) -> ActionRead:
+        """Return the action with this id, or with this name: of a project and the whole lab's, where one is given.
+
+        Raises:
+            NotFound: there is none.
+            AmbiguousName: several have that name, such as one of a project and one of the whole lab.
+        """
+        if isinstance(ref, uuid.UUID) or is_id(ref):
+            return self._api.get(f"/actions/{ref}", ActionRead)
+        project_id = self._project_id(project)
+        rows = [*self.list(name=ref, project=project_id)] or [*self.list(name=ref, project=project_id, archived=True)]
+        return the_one("action", ref, rows, name=lambda row: row.name, label=action_label)
+
+    def create(self, definition: ActionDefinition, *, project_id: uuid.UUID | None = None) -> ActionRead:
+        """Publish an action in a project, or for the whole lab, as its version 1.
+
+        `kleinkram.client.manifest.read_manifest` makes a definition of a script or of a folder with `action.yaml`.
+
+        Raises:
+            NameTaken: there is one of that name; `add_version` publishes its next version.
+            Forbidden: that takes WRITE on the project; for the lab, the right to make projects.
+        """
+        return self._api.send(
+            "POST", "/actions", ActionRead, ActionCreate(project_id=project_id, definition=definition)
+        )
+
+    def add_version(self, action_id: uuid.UUID, definition: ActionDefinition) -> ActionRead:
+        """Publish the next version of an action, under the name that it has; earlier ones stay and can be run.
+
+        Raises:
+            Forbidden: it is not yours to change.
+        """
+        body = VersionCreate(definition=definition)
+        return self._api.send("POST", f"/actions/{action_id}/versions", ActionRead, body)
+
+    def versions(self, action_id: uuid.UUID) -> Iterator[ActionVersionRead]:
+        """Yield the versions of an action, latest first."""
+        return pages(self._api, f"/actions/{action_id}/versions", ActionVersionRead, [])
+
+    def version(self, action: ActionRead, number: int | None = None) -> ActionVersionRead:
+        """Return a version of an action by its number; without one, the latest.
+
+        Raises:
+            NotFound: it has no such version.
+        """
+        if number is None or number == action.latest.number:
+            return action.latest
+        found = next((each for each in self.versions(action.id) if each.number == number), None)
+        if found is None:
+            raise NotFound(noun="version", ref=f"{action.name}@{number}")
+        return found
+
+    def archive(self, action_id: uuid.UUID, *, archived: bool = True) -> ActionRead:
+        """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay."""
+        return self._api.patch(f"/actions/{action_id}", ActionRead, ActionUpdate(archived=archived))
+
+    def _project_id(self, project: str | uuid.UUID | None) -> uuid.UUID | None:
+        return project if project is None or isinstance(project, uuid.UUID) else Projects(self._api).get(project).id
+
+
+def action_label(action: ActionRead) -> str:
+    """Return how an action is listed among candidates."""
+    place = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
+    return f"{place} ({action.id})"

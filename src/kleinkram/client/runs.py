@@ -1,0 +1,214 @@
+"""Runs, for programs: launch, follow, end, and fetch what they said and left."""
+
+import itertools
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._paging import count, pages
+from kleinkram.client.checking import checked
+from kleinkram.client.errors import InvalidInput, TimedOut
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.files import BlobState, DownloadLink
+from kleinkram.contract.names import is_id
+from kleinkram.contract.runs import (
+    MAX_LAUNCHED,
+    ArtifactRead,
+    ArtifactsRequest,
+    ArtifactUrl,
+    ArtifactUrls,
+    FindingRead,
+    LogPiece,
+    MetricRead,
+    RunDetail,
+    RunFilter,
+    RunInput,
+    RunMade,
+    RunRead,
+    RunRefused,
+    RunsCreate,
+    RunsMade,
+    RunState,
+    SayingFilter,
+)
+
+if TYPE_CHECKING:
+    from kleinkram.client.transfer import TransferReport, Watcher
+
+ENDS = frozenset({RunState.done, RunState.failed, RunState.cancelled})
+# How long one request for more of a log waits in the server.
+_LOG_WAIT_S = 20.0
+_FIRST_LOOK_S = 0.1
+_LOOK_EVERY_S = 1.0
+
+
+class Runs:
+    """`client.runs`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def launch(
+        self,
+        action: uuid.UUID | ActionDefinition,
+        mission_ids: Iterable[uuid.UUID],
+        *,
+        version: int | None = None,
+        parameters: ParameterValues | None = None,
+        force: bool = False,
+    ) -> Iterator[RunMade | RunRefused]:
+        """Run an action on each of some missions; yield how it went with each, in order, however many they are.
+
+        The action is a published one by its id, in its latest version unless another is named; or a definition, which
+        is run without being published. Results of an earlier good run with the very same version, parameters and inputs
+        are taken over, and the run is `done` at once, unless `force`. A mission on which it may not run has a
+        `RunRefused`, and keeps no other from being run. Nothing is launched before the first is asked for.
+
+        Raises:
+            InvalidInput: the request cannot be made of these.
+            NotFound: there is no such action, or no such version of it.
+        """
+        what = "definition" if isinstance(action, ActionDefinition) else "action_id"
+        said: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
+        if version is not None:
+            said["version"] = version
+        ids = iter(mission_ids)
+        while some := [*itertools.islice(ids, MAX_LAUNCHED)]:
+            body = checked(RunsCreate, "The run", mission_ids=some, **said)
+            yield from self._api.send("POST", "/runs", RunsMade, body).items
+
+    def list(self, matching: RunFilter | None = None, *, limit: int | None = None) -> Iterator[RunRead]:
+        """Yield the runs that match, latest first."""
+        return pages(self._api, "/runs", RunRead, query_of(matching), limit=limit)
+
+    def count(self, matching: RunFilter | None = None) -> int:
+        """Return how many runs match."""
+        return count(self._api, "/runs", RunRead, query_of(matching))
+
+    def get(self, run_id: str | uuid.UUID) -> RunDetail:
+        """Return a run with its definition, previews, proposed metadata and what it used.
+
+        Raises:
+            NotFound: there is none with this id.
+            InvalidInput: it is no id.
+        """
+        if isinstance(run_id, str) and not is_id(run_id):
+            raise InvalidInput(what=f"The run {run_id!r}", reason="say its id; `klein run list` shows them")
+        return self._api.get(f"/runs/{run_id}", RunDetail)
+
+    def wait(
+        self,
+        run_id: uuid.UUID,
+        *,
+        timeout_s: float | None = None,
+        seen: Callable[[RunDetail], None] | None = None,
+    ) -> RunDetail:
+        """Return a run once it is over, well or not; `seen` is called with it whenever it was looked at.
+
+        Raises:
+            TimedOut: it was not over by then; it goes on.
+        """
+        began_at, pause_s = time.monotonic(), _FIRST_LOOK_S
+        while True:
+            run = self.get(run_id)
+            if seen is not None:
+                seen(run)
+            if run.state in ENDS:
+                return run
+            if timeout_s is not None and time.monotonic() - began_at + pause_s > timeout_s:
+                raise TimedOut(what=f"The run {run_id}", seconds=timeout_s)
+            time.sleep(pause_s)
+            pause_s = min(pause_s * 1.5, _LOOK_EVERY_S)
+
+    def cancel(self, run_id: uuid.UUID) -> RunRead:
+        """Have a run ended, and return it: its runner does so within seconds. Nothing happens to one that is over."""
+        return self._api.understood(RunRead, "cancel", self._api.post_empty(f"/runs/{run_id}/cancel"))
+
+    def retry(self, run_id: uuid.UUID, *, force: bool = False) -> RunRead:
+        """Make a new run of the same version with the same parameters on the same mission, and return it.
+
+        It reads the files that match now. With `force`, it takes over no results of an earlier one.
+        """
+        return self._api.send("POST", f"/runs/{run_id}/retry?force={str(force).lower()}", RunRead)
+
+    def inputs(self, run_id: uuid.UUID) -> Iterator[RunInput]:
+        """Yield the files that a run was given, by path."""
+        return pages(self._api, f"/runs/{run_id}/inputs", RunInput, [])
+
+    def artifacts(self, run_id: uuid.UUID) -> Iterator[ArtifactRead]:
+        """Yield the files that a run left, by path; of one that took over results, those of the earlier one."""
+        return pages(self._api, f"/runs/{run_id}/artifacts", ArtifactRead, [])
+
+    def artifact_urls(self, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
+        """Return where to read the bytes of up to 500 artifacts of a run, in the order asked."""
+        body = ArtifactsRequest(artifact_ids=[*artifact_ids])
+        return self._api.repeat(f"/runs/{run_id}/artifacts/download", ArtifactUrls, body).items
+
+    def download_artifacts(
+        self,
+        run_id: uuid.UUID,
+        dest: Path,
+        *,
+        artifacts: Iterable[ArtifactRead] | None = None,
+        overwrite: bool = False,
+        watcher: "Watcher | None" = None,
+    ) -> "TransferReport":
+        """Download what a run left, or some of it, into a folder and return how each ended.
+
+        As `transfer.download`: each is verified before it gets its name, and the same call again resumes.
+
+        Raises:
+            DiskFull: there is no room for all of it.
+            ServerUnreachable, StoreUnreachable: one of them stayed away.
+        """
+        from kleinkram.client.transfer.destination import plan_artifacts  # transfers know the client
+        from kleinkram.client.transfer.download import fetch
+
+        plan = plan_artifacts(self.artifacts(run_id) if artifacts is None else artifacts, dest)
+
+        def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
+            return [_as_link(each) for each in self.artifact_urls(run_id, ids)]
+
+        return fetch(links, plan, overwrite=overwrite, watcher=watcher)
+
+    def findings(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[FindingRead]:
+        """Yield what runs have noticed."""
+        return pages(self._api, "/findings", FindingRead, query_of(matching), limit=limit)
+
+    def metrics(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[MetricRead]:
+        """Yield the numbers that runs have found; the filter's `code` is a metric's name."""
+        return pages(self._api, "/run-metrics", MetricRead, query_of(matching), limit=limit)
+
+    def log(self, run_id: uuid.UUID, *, follow: bool = False) -> Iterator[LogPiece]:
+        """Yield what a run has written, from the beginning, in pieces of whole lines; with `follow`, until it is over.
+
+        Where a lost runner made it begin anew, the pieces of the next attempt follow, and `attempt` says so.
+        """
+        attempt, offset = 0, 0
+        while True:
+            query = query_of(None, offset=offset, wait_s=_LOG_WAIT_S if follow and attempt else 0)
+            piece = self._api.get(f"/runs/{run_id}/log", LogPiece, query)
+            if attempt not in {0, piece.attempt} and offset:
+                attempt, offset = piece.attempt, 0
+                continue
+            attempt, offset = piece.attempt, piece.next_offset
+            if piece.text:
+                yield piece
+            if piece.is_over or not (piece.text or follow):
+                return
+
+
+def _as_link(artifact: ArtifactUrl) -> DownloadLink:
+    return DownloadLink(
+        file_id=artifact.artifact.id,
+        path=artifact.artifact.path,
+        size_bytes=artifact.artifact.size_bytes,
+        sha256=artifact.artifact.sha256,
+        crc64nvme=None,
+        state=BlobState.stored,
+        url=artifact.url,
+        expires_at=artifact.expires_at,
+    )
