@@ -1,4 +1,4 @@
-"""What somebody finds when they come: what moved lately, what is unfinished, what needs them, what it all takes."""
+"""What somebody finds when they come: what moved lately, what is unfinished, what needs them; what it all takes."""
 
 import datetime
 import enum
@@ -77,11 +77,16 @@ class StoreUse(_Told):
     disk_bytes: int | None
 
 
+class HomeStorage(_Told):
+    """`GET /api/v1/home/storage`: the largest projects, and for admins the store."""
+
+    projects: list[ProjectStorage]
+    store: StoreUse | None
+
+
 class HomeRead(_Told):
-    """`GET /api/v1/home`. Lists are bounded: the latest, the most pressing, the largest. `store` is for admins."""
+    """`GET /api/v1/home`. Lists are bounded: the latest, the most pressing."""
 
     missions: list[RecentMission]
     uploads: list[UnfinishedUpload]
     attention: list[Attention]
-    storage: list[ProjectStorage]
-    store: StoreUse | None

@@ -174,6 +174,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "get_admin_settings": (Caller(get("/admin/settings"), About.server),),
     "retry_job": (Caller(post("/admin/jobs/1000000000/retry"), About.server, passes="not_found"),),
     "get_home": (Caller(get("/home"), About.server),),
+    "get_home_storage": (Caller(get("/home/storage"), About.server),),
     "watch_events": (Caller(get("/events", for_s="0"), About.server),),
     "list_audit_events": (Caller(get("/audit", project_id="{project}"), About.project, shows=has_items),),
     "export_audit_events": (

@@ -779,9 +779,29 @@ export interface paths {
         };
         /**
          * Get Home
-         * @description Return what moved lately, what you left unfinished, what needs attention, and what all takes.
+         * @description Return what moved lately, what you left unfinished, and what needs attention.
          */
         get: operations["get_home"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/home/storage": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Home Storage
+         * @description Return what the largest projects take, and, to admins, what the store holds.
+         */
+        get: operations["get_home_storage"];
         put?: never;
         post?: never;
         delete?: never;
@@ -2770,18 +2790,24 @@ export interface components {
         };
         /**
          * HomeRead
-         * @description `GET /api/v1/home`. Lists are bounded: the latest, the most pressing, the largest. `store` is for admins.
+         * @description `GET /api/v1/home`. Lists are bounded: the latest, the most pressing.
          */
         HomeRead: {
             /** Attention */
             attention: components["schemas"]["Attention"][];
             /** Missions */
             missions: components["schemas"]["RecentMission"][];
-            /** Storage */
-            storage: components["schemas"]["ProjectStorage"][];
-            store: components["schemas"]["StoreUse"] | null;
             /** Uploads */
             uploads: components["schemas"]["UnfinishedUpload"][];
+        };
+        /**
+         * HomeStorage
+         * @description `GET /api/v1/home/storage`: the largest projects, and for admins the store.
+         */
+        HomeStorage: {
+            /** Projects */
+            projects: components["schemas"]["ProjectStorage"][];
+            store: components["schemas"]["StoreUse"] | null;
         };
         /**
          * IdentityRead
@@ -8247,6 +8273,62 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["HomeRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_home_storage: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HomeStorage"];
                 };
             };
             /** @description A failure, by its code: not_authenticated. */

@@ -171,6 +171,7 @@ OPERATIONS: dict[str, Need] = {
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),
     "get_home": Need(On.nothing, None, _READ),
+    "get_home_storage": Need(On.nothing, None, _READ),
     "watch_events": Need(On.nothing, None, _READ),
     # The whole server
     "get_admin_storage": Need(On.server, None, _ADMIN),

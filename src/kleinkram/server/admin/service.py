@@ -38,7 +38,7 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
     rows = (await db.execute(queries.blobs_by_state())).all()
     return AdminStorage(
         store=store,
-        is_low=is_low(store),
+        is_low=is_low(settings),
         blobs=[_amount(row.state, row) for row in rows],
         trash=await _sum(db, "trash", queries.trashed_blobs()),
         uploads=await _sum(db, "under_way", queries.open_uploads()),

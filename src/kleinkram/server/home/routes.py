@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from kleinkram.contract.home import HomeRead
-from kleinkram.server.dependencies import CurrentActor, CurrentSite
+from kleinkram.contract.home import HomeRead, HomeStorage
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.home import service
 
 router = APIRouter(prefix="/api/v1", tags=["home"])
@@ -11,5 +11,11 @@ router = APIRouter(prefix="/api/v1", tags=["home"])
 
 @router.get("/home", operation_id="get_home")
 async def get_home(site: CurrentSite, actor: CurrentActor) -> HomeRead:
-    """Return what moved lately, what you left unfinished, what needs attention, and what all takes."""
+    """Return what moved lately, what you left unfinished, and what needs attention."""
     return await service.get_home(site, actor)
+
+
+@router.get("/home/storage", operation_id="get_home_storage")
+async def get_home_storage(site: CurrentSite, actor: CurrentActor, db: Transaction) -> HomeStorage:
+    """Return what the largest projects take, and, to admins, what the store holds."""
+    return await service.get_storage(db, actor, site.settings)

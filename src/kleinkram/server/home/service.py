@@ -10,6 +10,7 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.home import (
     Attention,
     HomeRead,
+    HomeStorage,
     Need,
     ProjectStorage,
     RecentMission,
@@ -35,35 +36,25 @@ _OF_CONTENT = {"broken": Need.files_broken, "error": Need.files_unread, "recover
 
 async def get_home(site: Site, actor: Actor) -> HomeRead:
     """Return what somebody finds when they come. A store that does not answer only leaves out what it holds."""
-    # Each in a transaction of its own, side by side: to add up all that is kept takes as long as all the rest.
-    home, (storage, store) = await asyncio.gather(_what_happened(site, actor), _what_is_kept(site, actor))
-    if store is not None and is_low(store):
-        home = home.model_copy(update={"attention": [Attention(need=Need.disk_low, count=1), *home.attention]})
-    return home.model_copy(update={"storage": storage, "store": store})
-
-
-async def _what_happened(site: Site, actor: Actor) -> HomeRead:
     async with site.database.begin() as db:
         missions = (await db.execute(queries.recent_missions(actor, limit=_MISSIONS))).all()
         uploads = (await db.execute(queries.unfinished_uploads(actor, limit=_UPLOADS))).all()
         attention = await _attention(db, actor)
         if _sees_the_server(actor):
-            attention = [*await _of_server(db), *attention]
+            attention = [*await _of_server(db, site.settings), *attention]
     sent = await asyncio.gather(*(_sent_bytes(site, row) for row in uploads))
     return HomeRead(
         missions=[_recent(row) for row in missions],
         uploads=[_unfinished(row, held) for row, held in zip(uploads, sent, strict=True)],
         attention=attention,
-        storage=[],
-        store=None,
     )
 
 
-async def _what_is_kept(site: Site, actor: Actor) -> tuple[list[ProjectStorage], StoreUse | None]:
-    async with site.database.begin() as db:
-        rows = (await db.execute(queries.storage_by_project(actor, limit=_PROJECTS))).all()
-        store = await store_use(db, site.settings) if _sees_the_server(actor) else None
-    return [_storage(row) for row in rows], store
+async def get_storage(db: Connection, actor: Actor, settings: Settings) -> HomeStorage:
+    """Return what is kept. To add it up takes longer than all that `get_home` says."""
+    rows = (await db.execute(queries.storage_by_project(actor, limit=_PROJECTS))).all()
+    store = await store_use(db, settings) if _sees_the_server(actor) else None
+    return HomeStorage(projects=[_storage(row) for row in rows], store=store)
 
 
 def _sees_the_server(actor: Actor) -> bool:
@@ -73,18 +64,22 @@ def _sees_the_server(actor: Actor) -> bool:
 async def store_use(db: Connection, settings: Settings) -> StoreUse:
     """Return what the store holds, and what is free on its disk where that is on this machine."""
     used = int((await db.execute(queries.used_bytes())).scalar_one())
+    free, total = _disk(settings) or (None, None)
+    return StoreUse(used_bytes=used, free_bytes=free, disk_bytes=total)
+
+
+def is_low(settings: Settings) -> bool:
+    """Say whether the store's disk is about to be full, where that is on this machine."""
+    disk = _disk(settings)
+    return disk is not None and disk[0] < max(_LOW_BYTES, _LOW_SHARE * disk[1])
+
+
+def _disk(settings: Settings) -> tuple[int, int] | None:
     folder = settings.store_folder
     if folder is None or not folder.is_dir():
-        return StoreUse(used_bytes=used, free_bytes=None, disk_bytes=None)
+        return None
     disk = shutil.disk_usage(folder)
-    return StoreUse(used_bytes=used, free_bytes=disk.free, disk_bytes=disk.total)
-
-
-def is_low(store: StoreUse) -> bool:
-    """Say whether the store's disk is about to be full."""
-    if store.free_bytes is None or store.disk_bytes is None:
-        return False
-    return store.free_bytes < max(_LOW_BYTES, _LOW_SHARE * store.disk_bytes)
+    return disk.free, disk.total
 
 
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
@@ -100,10 +95,10 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
     return sorted(found, key=lambda each: order.index(each.need))
 
 
-async def _of_server(db: Connection) -> list[Attention]:
+async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     failed = (await db.execute(queries.failed_jobs())).scalar_one()
     late = (await db.execute(queries.late_proofs())).scalar_one()
-    counts = {Need.jobs_failed: failed, Need.proofs_late: late}
+    counts = {Need.disk_low: int(is_low(settings)), Need.jobs_failed: failed, Need.proofs_late: late}
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 
 

@@ -1,4 +1,5 @@
-// What home asks the server, in one request. Its key begins as lists of missions do, since it is old when they are.
+// What home asks the server, and in a request of its own what all takes, which is slow to add up.
+// Their keys begin as lists of missions do, since they are old when these are.
 import { queryOptions, useQuery } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
@@ -17,4 +18,12 @@ export const homeQuery = queryOptions({
 
 export function useHome() {
   return useQuery(homeQuery);
+}
+
+/** What is kept, by project. */
+export function useHomeStorage() {
+  return useQuery({
+    queryKey: keys.missions({ home: "storage" }),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/home/storage", { signal })),
+  });
 }
