@@ -14,7 +14,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.process import executor as process_executor
+from kleinkram.runner import wardens
 from kleinkram.runner.work import GRACE_S, CannotStart
 from tests.integration.runner.conftest import Bench, log_of
 
@@ -196,7 +196,7 @@ def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_executor, "LOG_BYTES", 1_000_000)
+    monkeypatch.setattr(wardens, "LOG_BYTES", 1_000_000)
     work, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time
     assert 1_000_000 <= (work.folder / "log").stat().st_size < 1_001_000

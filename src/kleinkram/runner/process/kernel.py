@@ -30,6 +30,7 @@ _AT_FDCWD = -100
 _MOUNT_ATTR_RDONLY = 0x1
 _MOUNT_ATTR_NOSUID = 0x2
 _MOUNT_ATTR_NODEV = 0x4
+_SIOCSIFADDR = 0x8916
 _SIOCGIFFLAGS = 0x8913
 _SIOCSIFFLAGS = 0x8914
 _IFF_UP = 0x1
@@ -94,6 +95,19 @@ def raise_loopback() -> None:
         asked = struct.pack("16sH14x", b"lo", 0)
         flags = struct.unpack("16sH14x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, asked))[1]
         fcntl.ioctl(any_socket, _SIOCSIFFLAGS, struct.pack("16sH14x", b"lo", flags | _IFF_UP))
+
+
+def add_to_loopback(address: str, number: int) -> None:
+    """Make an IPv4 address one of this network namespace's own, as `lo:number`."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        place = struct.pack("HH4s8x", socket.AF_INET, 0, socket.inet_aton(address))
+        fcntl.ioctl(any_socket, _SIOCSIFADDR, struct.pack("16s16s8x", f"lo:{number}".encode(), place))
+
+
+def enter_network(pid: int) -> None:
+    """Have this thread in the network namespace of a process."""
+    with Path(f"/proc/{pid}/ns/net").open("rb") as namespace:
+        _check(_libc.setns(namespace.fileno(), CLONE_NEWNET), "setns")
 
 
 def _check(result: int, call: str) -> None:

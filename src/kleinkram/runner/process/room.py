@@ -8,11 +8,13 @@ library, since every run waits for it.
 import os
 import resource
 import signal
+import socket
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kleinkram.runner import doors
 from kleinkram.runner.process import kernel
 
 _INSIDE_UID = 1000
@@ -26,12 +28,17 @@ _FILE_BEYOND_DISK_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Room:
-    """Where and as whom a command runs. `uid` is None where this process cannot be anybody else."""
+    """Where and as whom a command runs. `uid` is None where this process cannot be anybody else.
+
+    The listening sockets of its doors are sent to `doorkeeper`.
+    """
 
     folder: Path
     has_network: bool
     disk_bytes: int
     uid: int | None
+    ways: Sequence[doors.Way]
+    doorkeeper: socket.socket
 
 
 def can_be_made() -> bool:
@@ -89,6 +96,7 @@ def _be_first(room: Room, command: Sequence[str], environment: Mapping[str, str]
     _furnish(room)
     if not room.has_network:
         kernel.raise_loopback()
+        _make_doors(room)
     if room.uid is not None:
         os.setgroups([])
         os.setresgid(room.uid, room.uid, room.uid)
@@ -111,6 +119,13 @@ def _be_first(room: Room, command: Sequence[str], environment: Mapping[str, str]
     # Being asked to end, it passes that on: the kernel shields the first process from signals it has no handler for.
     signal.signal(signal.SIGTERM, lambda *_: _tell_all())
     os._exit(_code_of(pid))
+
+
+def _make_doors(room: Room) -> None:
+    listeners = doors.listen(room.ways)
+    socket.send_fds(room.doorkeeper, [b"doors"], [each.fileno() for each in listeners])
+    for each in (*listeners, room.doorkeeper):
+        each.close()
 
 
 def _tell_all() -> None:
@@ -148,11 +163,23 @@ def _furnish(room: Room) -> None:
     for place in _places():
         _show(place, root / str(place)[1:])
     _show(room.folder / "in", root / "in")
+    _name_doors(room, root)
     _make_devices(root)
     (root / "proc").mkdir()
     kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
     kernel.change_root(root)
     kernel.make_read_only(Path("/"), with_all_below=False)
+
+
+def _name_doors(room: Room, root: Path) -> None:
+    names = doors.names_of([way.host for way in room.ways])
+    if names:
+        hosts = room.folder / "hosts"
+        hosts.write_text("127.0.0.1 localhost\n" + "".join(f"{address} {name}\n" for name, address in names.items()))
+        hosts.chmod(0o644)
+        target = root / "etc" / "hosts"
+        kernel.mount(str(hosts), target, None, kernel.MS_BIND)
+        kernel.make_read_only(target)
 
 
 def _places() -> list[Path]:

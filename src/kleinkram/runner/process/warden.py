@@ -10,22 +10,22 @@ import json
 import os
 import select
 import signal
+import socket
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kleinkram.runner import doors, ward
 from kleinkram.runner.process import kernel
 from kleinkram.runner.process.room import Room, bound, run_in
 
-WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
-# An empty file takes room, too: of what a disk can name.
-_ENTRY_BYTES = 1024
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _NOT_FOUND = "not found: "
 _Taker = Callable[[bytes], None]
@@ -45,30 +45,35 @@ class Warden:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._work: dict[str, Any] = json.loads((folder / WORK).read_text())
+        self._work: dict[str, Any] = json.loads((folder / ward.WORK).read_text())
         self._deadline = time.monotonic() + self._work["time_s"]
         self._use = _Use()
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
         self._disk_at = self._told_at = 0.0
+        self._ways = [doors.Way(**door) for door in self._work["doors"]]
         self._failure = b""
         self._log_left: int = self._work["log_bytes"]
 
     def run(self) -> None:
         """Run it to its end."""
         kernel.adopt_orphans()
-        signal.signal(signal.SIGTERM, lambda *_: self._end("cancelled", "It was cancelled."))
+        signal.signal(signal.SIGTERM, lambda *_: self._end(ward.CANCELLED))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+        doorkeeper, inside = socket.socketpair()
         output, output_end = os.pipe()
         failed, failed_end = os.pipe()
         pid = os.fork()
         if pid == 0:
-            os._exit(self._begin(output_end, failed_end))
+            os._exit(self._begin(output_end, failed_end, inside))
         os.close(output_end)
         os.close(failed_end)
+        inside.close()
+        threading.Thread(target=self._keep_doors, args=(doorkeeper,), daemon=True).start()
         code = self._watch(pid, output, failed)
         self._leave(code)
 
-    def _begin(self, output: int, failed: int) -> int:
+    def _begin(self, output: int, failed: int, doorkeeper: socket.socket) -> int:
         """In the child: become the command, and return its exit code."""
         try:
             os.setsid()
@@ -78,7 +83,7 @@ class Warden:
             os.dup2(output, 2)
             Path("/proc/self/oom_score_adj").write_text("1000")
             work = self._work
-            room = Room(self._folder, work["has_network"], work["disk_bytes"], work["uid"])
+            room = Room(self._folder, work["has_network"], work["disk_bytes"], work["uid"], self._ways, doorkeeper)
             if work["is_isolated"]:
                 return run_in(room, work["command"], work["environment"], failed)
             kernel.die_with_parent(signal.SIGKILL)
@@ -90,8 +95,14 @@ class Warden:
             os.write(failed, f"{kind}{error}".encode())
         return 127
 
+    def _keep_doors(self, doorkeeper: socket.socket) -> None:
+        with doorkeeper:
+            _, descriptors, _, _ = socket.recv_fds(doorkeeper, 16, len(self._ways))
+        if descriptors:
+            doors.carry([socket.socket(fileno=each) for each in descriptors], self._ways)
+
     def _watch(self, pid: int, output: int, failed: int) -> int:
-        log = os.open(self._folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        log = os.open(self._folder / ward.LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         open_ends: dict[int, _Taker] = {output: lambda data: self._keep(data, log), failed: self._note_failure}
         code: int | None = None
         while code is None:
@@ -122,7 +133,7 @@ class Warden:
         self._failure += data
         if not data:
             if not self._failure:
-                os.write(1, b"started\n")
+                os.write(1, ward.STARTED)
             os.close(1)
 
     def _keep(self, data: bytes, log: int) -> None:
@@ -130,15 +141,15 @@ class Warden:
             os.write(log, data[: self._log_left])
             self._log_left -= len(data)
             if self._log_left <= 0:
-                os.write(log, b"\n[kleinkram] the log is full: what comes after this is not kept\n")
+                os.write(log, ward.LOG_IS_FULL)
 
     def _look(self) -> None:
         now = time.monotonic()
         self._measure()
         if self._use.memory_bytes > self._work["memory_bytes"]:
-            self._end("memory", f"It used more memory than its {_mb(self._work['memory_bytes'])}.", grace_s=0)
+            self._end(ward.too_much_memory(self._work["memory_bytes"]), grace_s=0)
         if now > self._deadline:
-            self._end("time", f"It ran for longer than its {self._work['time_s']} s.")
+            self._end(ward.too_long(self._work["time_s"]))
         if now >= self._disk_at:
             self._look_at_disk()
             # A look at very many files takes long: no more than a tenth of the time.
@@ -148,14 +159,14 @@ class Warden:
                 _kill(each, signal.SIGKILL)
 
     def _look_at_disk(self) -> None:
-        if sum(_size_of(self._folder / name) for name in ("out", "tmp")) > self._work["disk_bytes"]:
-            self._end("disk", f"It wrote more than its {_mb(self._work['disk_bytes'])} of disk.", grace_s=0)
+        if ward.written_bytes(self._folder) > self._work["disk_bytes"]:
+            self._end(ward.too_much_disk(self._work["disk_bytes"]), grace_s=0)
 
-    def _end(self, why: str, message: str, *, grace_s: float | None = None) -> None:
+    def _end(self, why: tuple[str, str], *, grace_s: float | None = None) -> None:
         """Have the run ended; the first reason counts."""
         if self._why is not None:
             return
-        self._why = (why, message)
+        self._why = why
         self._kill_at = time.monotonic() + (self._work["grace_s"] if grace_s is None else grace_s)
         if grace_s is None:
             for each in _descendants(os.getpid()):
@@ -174,17 +185,17 @@ class Warden:
         )
         if time.monotonic() >= self._told_at:
             self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
-            _write(self._folder / USAGE, vars(self._use))
+            ward.write_whole(self._folder / ward.USAGE, vars(self._use))
 
     def _leave(self, code: int) -> None:
         failure = self._failure.decode(errors="replace")
         self._look_at_disk()
         used = os.times()
         self._use = replace(self._use, cpu_s=max(self._use.cpu_s, used.children_user + used.children_system))
-        _write(self._folder / USAGE, vars(self._use))
+        ward.write_whole(self._folder / ward.USAGE, vars(self._use))
         reason, message = self._why or _told_by(failure, code)
         exit_code = None if failure or self._why else code
-        _write(self._folder / ENDING, {"reason": reason, "message": message, "exit_code": exit_code})
+        ward.write_whole(self._folder / ward.ENDING, {"reason": reason, "message": message, "exit_code": exit_code})
 
 
 def _told_by(failure: str, code: int) -> tuple[str, str]:
@@ -192,15 +203,7 @@ def _told_by(failure: str, code: int) -> tuple[str, str]:
         return "command_not_found", f"The command could not be started: {failure.removeprefix(_NOT_FOUND)}."
     if failure:
         return "not_possible", f"It could not be started here: {failure}."
-    if code == 0:
-        return "done", ""
-    if code > 128 and code - 128 in {*signal.Signals}:
-        return "signal", f"It was ended by the signal {signal.Signals(code - 128).name}."
-    return "exit_code", f"It ended with the exit code {code}."
-
-
-def _mb(size_bytes: int) -> str:
-    return f"{size_bytes / 1e6:,.0f} MB"
+    return ward.told_by_code(code)
 
 
 def _kill(pid: int, sign: signal.Signals) -> None:
@@ -257,30 +260,6 @@ def _sum(uses: list[_Use]) -> _Use:
         sum(use.read_bytes for use in uses),
         sum(use.written_bytes for use in uses),
     )
-
-
-def _size_of(folder: Path) -> int:
-    """What files below a folder take of the disk; links are not followed."""
-    total = 0
-    waiting = [str(folder)]
-    while waiting:
-        # What is gone by now takes nothing.
-        with contextlib.suppress(OSError), os.scandir(waiting.pop()) as entries:
-            for entry in entries:
-                total += entry.stat(follow_symlinks=False).st_blocks * 512 + _ENTRY_BYTES
-                if entry.is_dir(follow_symlinks=False):
-                    waiting.append(entry.path)
-    return total
-
-
-def _write(path: Path, facts: dict[str, Any]) -> None:
-    """Write a file whole, or not at all."""
-    aside = path.with_name(path.name + ".new")
-    with aside.open("w") as stream:
-        json.dump(facts, stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    aside.replace(path)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,87 @@
+"""What all wardens do: the files by which they speak with a runner, the size of what a run wrote, words for its end.
+
+Imports nothing but Python's own library, since runs wait for it.
+"""
+
+import contextlib
+import json
+import os
+import signal
+from collections.abc import Mapping
+from pathlib import Path
+
+WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
+STARTED = b"started\n"
+LOG_IS_FULL = b"\n[kleinkram] the log is full: what comes after this is not kept\n"
+# An empty file takes room, too: of what a disk can name.
+_ENTRY_BYTES = 1024
+
+
+def written_bytes(folder: Path) -> int:
+    """Return what a run has written of the disk, to its `/out` and `/tmp`."""
+    return sum(_size_of(folder / name) for name in ("out", "tmp"))
+
+
+def _size_of(folder: Path) -> int:
+    """What files below a folder take of the disk; links are not followed."""
+    total = 0
+    waiting = [str(folder)]
+    while waiting:
+        # What is gone by now takes nothing.
+        with contextlib.suppress(OSError), os.scandir(waiting.pop()) as entries:
+            for entry in entries:
+                total += entry.stat(follow_symlinks=False).st_blocks * 512 + _ENTRY_BYTES
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+    return total
+
+
+def told_by_code(code: int) -> tuple[str, str]:
+    """Return reason and sentence for what a command said by its exit code, 128 + n where a signal ended it."""
+    if code == 0:
+        return "done", ""
+    if code > 128 and code - 128 in {*signal.Signals}:
+        return "signal", f"It was ended by the signal {signal.Signals(code - 128).name}."
+    return "exit_code", f"It ended with the exit code {code}."
+
+
+def too_much_memory(memory_bytes: int) -> tuple[str, str]:
+    """Return reason and sentence for a run that used more memory than it may."""
+    return "memory", f"It used more memory than its {_mb(memory_bytes)}."
+
+
+def too_much_disk(disk_bytes: int) -> tuple[str, str]:
+    """Return reason and sentence for a run that wrote more than it may."""
+    return "disk", f"It wrote more than its {_mb(disk_bytes)} of disk."
+
+
+def too_long(time_s: int) -> tuple[str, str]:
+    """Return reason and sentence for a run that went on for longer than it may."""
+    return "time", f"It ran for longer than its {time_s} s."
+
+
+CANCELLED = ("cancelled", "It was cancelled.")
+
+
+def _mb(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:,.0f} MB"
+
+
+def write_whole(path: Path, facts: Mapping[str, object]) -> None:
+    """Write a file whole, or not at all."""
+    aside = path.with_name(path.name + ".new")
+    with aside.open("w") as stream:
+        json.dump(facts, stream)
+        stream.flush()
+        os.fsync(stream.fileno())
+    aside.replace(path)
+
+
+def began(pid: int) -> int | None:
+    """When a process began, in ticks since the machine did; None where it is over, though nobody reaped it yet."""
+    try:
+        # The name, which stands in parentheses, may hold anything.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] == "Z" else int(fields[19])
