@@ -1,37 +1,48 @@
-"""`klein action`: what to run on the data."""
+"""`klein action …`"""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.action_view import show_action, show_actions, show_versions
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.options import AsJson, MissionOption, ProjectOption
-from kleinkram.cli.render import note, show_json, table
+from kleinkram.cli.launch import SetOption, parameter_values, run, split_version
+from kleinkram.cli.log_view import on_stderr
+from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption
+from kleinkram.cli.render import line, note, show_json, show_json_list
+from kleinkram.cli.run_view import show_findings, show_metrics
+from kleinkram.cli.scaffold import init
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.manifest import read_manifest
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, ActionRead
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Actions: what to run on the files of a mission.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("init")(init)
+app.command("run")(run)
 
-
-@app.callback()
-def action() -> None:
-    """Actions: run code on the files of a mission."""
+PathArgument = Annotated[
+    Path, typer.Argument(metavar="PATH", help="A script, or a folder with action.yaml.", show_default=False)
+]
+ActionArgument = Annotated[str, typer.Argument(metavar="ACTION", help="Name or id.", show_default=False)]
 
 
 @app.command("run-local")
 def run_local(
-    action: Annotated[Path, typer.Argument(metavar="ACTION", help="A script, or a folder with action.yaml.")],
+    action: PathArgument,
     mission: MissionOption = None,
     project: ProjectOption = None,
-    parameters: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter; may be repeated.")
-    ] = None,
+    parameters: SetOption = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go; empty or not there yet.")] = Path(
         "out"
     ),
@@ -39,10 +50,11 @@ def run_local(
 ) -> None:
     """Run an action on this machine, on a mission: the same /in and /out as on a runner. Nothing is stored."""
     from kleinkram.cli.progress import watching
-    from kleinkram.runner.local import run_locally
+    from kleinkram.runner.local import LocalRun, run_locally
     from kleinkram.runner.process.executor import ProcessExecutor
 
     definition = read_manifest(action)
+    values = parameter_values(definition, parameters or [])
     if mission is None:
         raise InvalidInput(what="The command", reason="say which mission, with -m")
     executor = ProcessExecutor()
@@ -50,55 +62,107 @@ def run_local(
         note("This kernel gives no namespaces to this user: the action can read and change whatever you can.")
     with connect() as client, watching() as watcher:
         found = client.missions.get(mission, project=project)
-        run = run_locally(
-            client,
-            definition,
-            found,
-            _values(definition, parameters or []),
-            executor=executor,
-            out=out,
-            show=_show_on_stderr,
-            watcher=watcher,
+        ran: LocalRun = run_locally(
+            client, definition, found, values, executor=executor, out=out, show=on_stderr, watcher=watcher
         )
-    report = run.results.report
-    for problem in run.results.problems:
+    report = ran.results.report
+    for problem in ran.results.problems:
         note(problem)
     if as_json:
         show_json(
             {
-                "reason": run.ending.reason.value,
-                "message": run.ending.message,
-                "exit_code": run.ending.exit_code,
-                "artifacts": [vars(artifact) for artifact in run.results.artifacts],
+                "reason": ran.ending.reason.value,
+                "message": ran.ending.message,
+                "exit_code": ran.ending.exit_code,
+                "artifacts": [vars(artifact) for artifact in ran.results.artifacts],
                 "report": report,
             }
         )
     else:
         if report.metrics:
-            table(["metric", "value", "unit", "file"], [(m.name, m.value, m.unit, m.file) for m in report.metrics])
+            show_metrics(report.metrics)
         if report.findings:
-            rows = [(f.severity.value, f.code, f.message, f.file, f.topic) for f in report.findings]
-            table(["severity", "finding", "message", "file", "topic"], rows)
-        note(f"{len(run.results.artifacts)} artifacts in {out}.")
-    if run.ending.reason is not EndReason.done:
-        note(run.ending.message)
+            show_findings(report.findings)
+        for name, value in report.metadata.items():
+            line(f"proposed {name}: {value}")
+        note(f"{len(ran.results.artifacts)} artifacts in {out}.")
+    if ran.ending.reason is not EndReason.done:
+        note(ran.ending.message)
         raise typer.Exit(ExitCode.run_failed)
 
 
-def _values(definition: ActionDefinition, said: list[str]) -> ParameterValues:
-    known = {parameter.name: parameter for parameter in definition.parameters}
-    values: ParameterValues = {}
-    for each in said:
-        name, equals, text = each.partition("=")
-        if not equals:
-            raise InvalidInput(what=f"The parameter {each!r}", reason="say it as NAME=VALUE")
-        try:
-            values[name] = known[name].read(text) if name in known else text
-        except ValueError as error:
-            raise InvalidInput(what="The parameters", reason=str(error)) from None
-    return values
+@app.command("create")
+def create(
+    path: PathArgument,
+    project: ProjectOption = None,
+    new_version: Annotated[
+        bool, typer.Option("--new-version", help="As the next version of the action that has its name.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Publish an action in a project, or without one for the whole lab; or the next version of one."""
+    definition = read_manifest(path)
+    with connect() as client:
+        if new_version:
+            made = _add_version(client, definition, project)
+        else:
+            project_id = None if project is None else client.projects.get(project).id
+            made = client.actions.create(definition, project_id=project_id)
+    show_json(made) if as_json else show_action(made, made.latest)
 
 
-def _show_on_stderr(data: bytes) -> None:
-    sys.stderr.write(data.decode(errors="replace"))
-    sys.stderr.flush()
+def _add_version(client: Client, definition: ActionDefinition, project: str | None) -> ActionRead:
+    found = client.actions.get(definition.name, project=project)
+    if found.latest.definition == definition:
+        note(f"{found.name}@{found.latest.number} is this very definition; nothing was published.")
+        return found
+    return client.actions.add_version(found.id, definition)
+
+
+@app.command("list")
+def list_(
+    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
+    project: ProjectOption = None,
+    archived: Annotated[bool, typer.Option("--archived", help="Those that are archived.")] = False,
+    limit: Limit = None,
+    as_json: AsJson = False,
+) -> None:
+    """List actions: of all projects that you see, and the whole lab's."""
+    with connect() as client:
+        rows = [*client.actions.list(name=name, project=project, archived=archived, limit=limit)]
+    show_json_list(rows) if as_json else show_actions(rows)
+
+
+@app.command("info")
+def info(
+    action: Annotated[str, typer.Argument(metavar="ACTION", help="Name, NAME@VERSION or id.", show_default=False)],
+    project: ProjectOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show an action in its latest version, or in another: what it runs, reads and can be told."""
+    name, number = split_version(action)
+    with connect() as client:
+        found = client.actions.get(name, project=project)
+        version = client.actions.version(found, number)
+    show_json({"action": found, "version": version}) if as_json else show_action(found, version)
+
+
+@app.command("versions")
+def versions(action: ActionArgument, project: ProjectOption = None, as_json: AsJson = False) -> None:
+    """List the versions of an action, latest first; any of them can be run, as NAME@VERSION."""
+    with connect() as client:
+        rows = [*client.actions.versions(client.actions.get(action, project=project).id)]
+    show_json_list(rows) if as_json else show_versions(rows)
+
+
+@app.command("archive")
+def archive(
+    action: ActionArgument,
+    project: ProjectOption = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Put it back.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Take an action out of lists, so that nobody runs it anew; its versions and runs stay."""
+    with connect() as client:
+        changed = client.actions.archive(client.actions.get(action, project=project).id, archived=not undo)
+    show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")

@@ -77,6 +77,8 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.ChecksumMismatch: ExitCode.bytes_differ,
     remote.FileUnavailable: ExitCode.bytes_differ,
     remote.QuotaExceeded: ExitCode.no_room,
+    remote.RunGone: ExitCode.conflict,
+    remote.NoInputs: ExitCode.not_found,
     remote.MethodNotAllowed: ExitCode.server_failed,
     remote.StoreUnavailable: ExitCode.unreachable,
     remote.DatabaseUnavailable: ExitCode.unreachable,

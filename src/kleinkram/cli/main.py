@@ -33,7 +33,9 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or prove those in the store."),
     "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
     "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
-    "action": ("kleinkram.cli.action", "app", "Actions, which run on the files of a mission: run-local."),
+    "action": ("kleinkram.cli.action", "app", "What to run on the data: init, run-local, create, run, list, info."),
+    "run": ("kleinkram.cli.run", "app", "Runs of actions: list, info, logs, cancel, retry, artifacts, findings."),
+    "lineage": ("kleinkram.cli.lineage", "lineage", "Where a file comes from, and what came from it."),
     "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
     "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
     "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),
@@ -46,6 +48,9 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "endpoint": ("kleinkram.cli.endpoint", "app", "Which server commands talk to."),
 }
 
+# The original's words for some of them.
+ALIASES = {"template": "action", "execution": "run"}
+
 
 class LazyCommands(typer.core.TyperGroup):
     """The group of all commands, each imported when it is called."""
@@ -56,10 +61,11 @@ class LazyCommands(typer.core.TyperGroup):
 
     def get_command(self, ctx: typer.Context, cmd_name: str) -> Any:  # type: ignore[override]  # as above
         """Import a command; None where there is none of that name."""
-        if cmd_name not in COMMANDS:
+        name = ALIASES.get(cmd_name, cmd_name)
+        if name not in COMMANDS:
             return None
-        module, attribute, _ = COMMANDS[cmd_name]
-        return load(cmd_name, getattr(importlib.import_module(module), attribute))
+        module, attribute, _ = COMMANDS[name]
+        return load(name, getattr(importlib.import_module(module), attribute))
 
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # as above
         """Write the list of commands without importing them."""

@@ -18,6 +18,7 @@ else:
     import tomli as tomllib
 
 MANIFEST = "action.yaml"
+MAIN = "main.py"
 _MOST_BYTES = 1_000_000
 # Source: PEP 723, "Inline script metadata", its reference implementation.
 _BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
@@ -26,13 +27,16 @@ _BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
 def read_manifest(path: Path) -> ActionDefinition:
     """Return the action that a folder with `action.yaml`, such a file, or a Python script with a PEP 723 header is.
 
+    A folder without `action.yaml` is the script `main.py` in it.
     A script's header may hold a table `[tool.kleinkram]` with all that `action.yaml` could say; its name is the file's,
     where it says none. What it needs to be installed stands in `dependencies`, as PEP 723 says.
 
     Raises:
         InvalidInput: there is none, or it is not a definition; says where and why.
     """
-    file = path / MANIFEST if path.is_dir() else path
+    file = path
+    if path.is_dir():
+        file = path / (MAIN if (path / MAIN).exists() and not (path / MANIFEST).exists() else MANIFEST)
     try:
         with file.open("rb") as stream:
             text = stream.read(_MOST_BYTES).decode()

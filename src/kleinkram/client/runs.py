@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 ENDS = frozenset({RunState.done, RunState.failed, RunState.cancelled})
 # How long one request for more of a log waits in the server.
 _LOG_WAIT_S = 20.0
+_LOG_PAUSE_S = 0.2
 _FIRST_LOOK_S = 0.1
 _LOOK_EVERY_S = 1.0
 
@@ -187,18 +188,22 @@ class Runs:
 
         Where a lost runner made it begin anew, the pieces of the next attempt follow, and `attempt` says so.
         """
-        attempt, offset = 0, 0
+        attempt, offset, wait_s = 0, 0, 0.0
         while True:
-            query = query_of(None, offset=offset, wait_s=_LOG_WAIT_S if follow and attempt else 0)
+            asked_at = time.monotonic()
+            query = query_of(None, offset=offset, wait_s=wait_s)
             piece = self._api.get(f"/runs/{run_id}/log", LogPiece, query)
-            if attempt not in {0, piece.attempt} and offset:
-                attempt, offset = piece.attempt, 0
+            begins_anew = piece.attempt != attempt and offset > 0
+            attempt, offset = piece.attempt, 0 if begins_anew else piece.next_offset
+            if begins_anew:
                 continue
-            attempt, offset = piece.attempt, piece.next_offset
             if piece.text:
                 yield piece
             if piece.is_over or not (piece.text or follow):
                 return
+            wait_s = _LOG_WAIT_S if follow else 0.0
+            if not piece.text and time.monotonic() - asked_at < _LOG_PAUSE_S:
+                time.sleep(_LOG_PAUSE_S)
 
 
 def _as_link(artifact: ArtifactUrl) -> DownloadLink:

@@ -7,7 +7,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from kleinkram.cli.main import COMMANDS, app
+from kleinkram.cli.main import ALIASES, COMMANDS, app
 
 HEAVY = ("pydantic", "urllib3", "rich", "awscrt", "kleinkram.client", "kleinkram.contract", "kleinkram.standalone")
 
@@ -31,6 +31,15 @@ def test_every_command_explains_itself(name: str) -> None:
     assert "Usage:" in shown.output
     module, attribute, _ = COMMANDS[name]
     assert getattr(importlib.import_module(module), attribute)
+
+
+@pytest.mark.parametrize(("alias", "name"), ALIASES.items())
+def test_words_of_the_original_are_understood_and_not_listed(alias: str, name: str) -> None:
+    run = CliRunner()
+    assert run.invoke(app, [alias, "--help"]).output == run.invoke(app, [name, "--help"]).output.replace(
+        f"klein {name}", f"klein {alias}"
+    )
+    assert f"  {alias} " not in run.invoke(app, ["--help"]).output
 
 
 @pytest.mark.parametrize("name", ["search", "stats", "download"])

@@ -6,9 +6,10 @@ import uuid
 
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Network
 from kleinkram.contract.files import BlobState, ContentState, DownloadLink, FileRead
-from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import ActionRef, Cause, RunDetail, RunState
 
 NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
@@ -48,6 +49,25 @@ def link_to(file: FileRead, *, sha256: str | None, crc64nvme: str | None = None)
         url="http://store/key",
         expires_at=NOW,
     )
+
+
+def mission_read(name: str, *, project: str = "alps") -> MissionRead:
+    """A mission without files."""
+    given: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
+    given |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
+    given |= {
+        "id": uuid.uuid4(),
+        "name": name,
+        "project": ProjectRef(id=uuid.uuid4(), name=project),
+        "metadata": {},
+        "metadata_problems": [],
+        "notes": "",
+        "created_at": NOW,
+        "created_by": PersonRef(id=uuid.uuid4(), name="ada"),
+        "recordings_current": True,
+        "right": Right.write,
+    }
+    return MissionRead.model_validate(given)
 
 
 def action_read(name: str, *, project: str | None = None, number: int = 1) -> ActionRead:

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -33,8 +33,13 @@ class Scripted:
 
 
 @contextmanager
-def scripted(*answers: BaseModel | KleinkramError | bytes | None) -> Iterator[Scripted]:
-    """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks."""
+def scripted(
+    *answers: BaseModel | KleinkramError | bytes | None, by_path: Mapping[str, BaseModel] | None = None
+) -> Iterator[Scripted]:
+    """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks.
+
+    What ends as `by_path` says is answered so, whenever it is asked for.
+    """
     script = Scripted(answers=[*answers])
 
     class Speaker(BaseHTTPRequestHandler):
@@ -44,7 +49,9 @@ def scripted(*answers: BaseModel | KleinkramError | bytes | None) -> Iterator[Sc
             body = self.rfile.read(int(self.headers.get("Content-Length", "0")))
             known = self.headers.get("Authorization")
             script.asked.append(Asked(self.command, self.path, known, json.loads(body) if body else None))
-            status, said = _said(script.answers.pop(0))
+            place = self.path.partition("?")[0]
+            always = [answer for end, answer in (by_path or {}).items() if place.endswith(end)]
+            status, said = _said(always[0] if always else script.answers.pop(0))
             if said is None:
                 self.close_connection = True
                 return

@@ -14,7 +14,7 @@ import pytest
 from kleinkram.client import Client, Endpoint, EndpointSource
 from kleinkram.client.errors import InvalidInput, TimedOut, VerifyFailed
 from kleinkram.client.transfer import Outcome
-from kleinkram.contract.actions import ActionDefinition
+from kleinkram.contract.actions import ActionDefinition, ActionRead
 from kleinkram.contract.errors import AmbiguousName, NotFound
 from kleinkram.contract.paging import Page
 from kleinkram.contract.runs import (
@@ -63,7 +63,7 @@ def test_a_log_is_followed_to_its_end_and_begins_anew_with_a_new_attempt() -> No
         pieces = [*client.runs.log(uuid.uuid4(), follow=True)]
     assert [(each.attempt, each.text) for each in pieces] == [(1, "one\n"), (2, "ONE\n"), (2, "two\n")]
     asked = [each.path.partition("?")[2] for each in script.asked]
-    assert asked[0] == "offset=0&wait_s=0"
+    assert asked[0] == "offset=0&wait_s=0.0"
     assert [each.partition("&")[0] for each in asked] == ["offset=0", "offset=4", "offset=4", "offset=0", "offset=4"]
     assert "wait_s=20" in asked[1]
 
@@ -93,7 +93,7 @@ def test_names_of_actions_mean_one() -> None:
         with pytest.raises(AmbiguousName, match="alps/Look") as caught:
             client.actions.get("look")
         assert any("of the whole lab" in each for each in caught.value.candidates)
-    nothing = Page[type(of_lab)](items=[], next=None)  # type: ignore[misc]  # a generic model is made at run time
+    nothing = Page[ActionRead](items=[], next=None)
     with scripted(nothing, Page(items=[of_lab], next=None)) as script, client_of(script) as client:
         assert client.actions.get("look").id == of_lab.id
     assert "archived=true" in script.asked[1].path

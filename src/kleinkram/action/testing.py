@@ -1,0 +1,151 @@
+"""For tests of an action's code: a run of it as a plain process, without server, container or mission.
+
+```python
+def test_it_counts(tmp_path):
+    ran = try_out("main.py", tmp_path, files={"drive.mcap": SAMPLE}, parameters={"topics": "/imu*"})
+    assert ran.exit_code == 0, ran.log
+    assert ran.metric("messages") == 589
+```
+
+What holds here of what a run may reach, is nothing: it reads and writes what the test may. `klein action run-local` is
+the next step.
+"""
+
+import datetime
+import os
+import shutil
+import subprocess
+import sys
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.client.errors import InvalidInput
+from kleinkram.client.manifest import MANIFEST, read_manifest
+from kleinkram.contract.actions import ParameterValues
+from kleinkram.contract.files import BlobState, ContentState, FileRead
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.missions import MissionRead, MissionRef
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Event, Report
+from kleinkram.contract.rights import Right
+from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
+
+_NOBODY = PersonRef(id=uuid.UUID(int=1), name="nobody")
+_MISSION = MissionRef(id=uuid.UUID(int=2), name="mission", project=ProjectRef(id=uuid.UUID(int=3), name="project"))
+_THEN = datetime.datetime(2024, 5, 1, tzinfo=datetime.timezone.utc)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """How a run ended: its exit code, what it wrote, the folder that it left, and what it said."""
+
+    exit_code: int
+    log: str
+    out: Path
+    report: Report
+
+    def metric(self, name: str, file: str | None = None) -> float:
+        """Return the last value of a metric; of all files, where none is named.
+
+        Raises:
+            KeyError: it said none.
+        """
+        return {(each.name, each.file): each.value for each in self.report.metrics}[name, file]
+
+    def codes(self) -> set[str]:
+        """Return the codes of all findings."""
+        return {each.code for each in self.report.findings}
+
+
+def try_out(
+    script: str | os.PathLike[str],
+    folder: Path,
+    *,
+    files: Mapping[str, Path | bytes],
+    parameters: ParameterValues | None = None,
+    metadata: Metadata | None = None,
+    timeout_s: float = 60,
+) -> Tried:
+    """Run a script on some files, said by their paths in the mission, in an empty folder of the test's.
+
+    The manifest is `action.yaml` beside the script, or its own header. All files are given, whatever its `inputs` say;
+    `metadata` is the mission's.
+
+    Raises:
+        InvalidInput: the manifest or a parameter is not what it should be.
+        subprocess.TimeoutExpired: it was not over by then.
+    """
+    code = Path(script).resolve()
+    definition = read_manifest(code.parent if (code.parent / MANIFEST).exists() else code)
+    try:
+        values = definition.fill_in(parameters or {})
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from error
+    places = {name: folder / name for name in ("in", "out", "tmp")}
+    for place in places.values():
+        place.mkdir()
+    context = RunContext(
+        run_id=None,
+        action=ActionRef(name=definition.name, version=None),
+        parameters=values,
+        cause=Cause(person=None),
+        mission=_mission(metadata or {}),
+        files=[_put(places["in"], path, content) for path, content in sorted(files.items())],
+        topics=[],
+        recordings=[],
+    )
+    (places["in"] / CONTEXT_FILE).write_text(context.model_dump_json())
+    ours = {IN_VARIABLE: str(places["in"]), OUT_VARIABLE: str(places["out"]), "TMPDIR": str(places["tmp"])}
+    ran = subprocess.run(
+        [sys.executable, str(code)],
+        env={**os.environ, **ours},
+        cwd=places["tmp"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
+    return Tried(ran.returncode, ran.stdout, places["out"], _said(places["out"]))
+
+
+def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
+    place = folder / path
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(content, bytes):
+        place.write_bytes(content)
+    else:
+        shutil.copyfile(content, place)
+    said: dict[str, object] = dict.fromkeys(FileRead.model_fields)
+    said |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
+    said |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
+    said |= {"uploaded_by": _NOBODY, "created_at": _THEN, "labels": [], "compression": [], "problems": [], "facts": []}
+    return FileRead.model_validate(said)
+
+
+def _mission(metadata: Metadata) -> MissionRead:
+    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
+    said |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
+    said |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
+    said |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
+    return MissionRead.model_validate(said)
+
+
+def _said(out: Path) -> Report:
+    """Return what was said while it lasted, then what the report says."""
+    events_file, report_file = out / EVENTS_FILE, out / REPORT_FILE
+    lines = events_file.read_bytes().splitlines() if events_file.exists() else []
+    events = [Event.model_validate_json(line) for line in lines]
+    last = Report.model_validate_json(report_file.read_bytes()) if report_file.exists() else Report()
+    metadata = {name: value for event in events for name, value in (event.metadata or {}).items()}
+    return Report(
+        findings=[*(event.finding for event in events if event.finding), *last.findings],
+        metrics=[*(event.metric for event in events if event.metric), *last.metrics],
+        previews=[*(event.preview for event in events if event.preview), *last.previews],
+        metadata={**metadata, **last.metadata},
+        put_back=[*(event.put_back for event in events if event.put_back), *last.put_back],
+    )

@@ -1,0 +1,75 @@
+"""`klein lineage`"""
+
+from typing import Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.options import AsJson, MissionOption, ProjectOption
+from kleinkram.cli.render import details, line, note, show_json, table
+from kleinkram.cli.run_view import action_name, mission_name, standing
+from kleinkram.contract.runs import LineageFile, LineageRead, LineageRun
+
+
+def lineage(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Path or id.", show_default=False)],
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show which run made a file, of what, and which runs have read it, and what they made of it."""
+    with connect() as client:
+        found = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
+    show_json(found) if as_json else _show(found)
+
+
+def _show(found: LineageRead) -> None:
+    line(f"{found.file.path}  sha256 {found.file.sha256}")
+    line("")
+    if found.made_by is None:
+        line("Uploaded: no run made it.")
+    else:
+        line("Made by")
+        _show_maker(found.made_by)
+    if found.read_by:
+        line("")
+        line("Read by")
+        table(
+            ["mission", "action", "state", "ended", "files made", "artifacts", "id"],
+            [
+                (
+                    mission_name(each.run),
+                    action_name(each.run.action),
+                    standing(each.run),
+                    each.run.ended_at,
+                    [_file(made) for made in each.files] or None,
+                    each.artifact_count,
+                    each.run.id,
+                )
+                for each in found.read_by
+            ],
+        )
+    if found.truncated:
+        note("More runs read it; `klein run list` has all.")
+
+
+def _show_maker(made_by: LineageRun) -> None:
+    run = made_by.run
+    details(
+        [
+            ("run", run.id),
+            ("action", action_name(run.action)),
+            ("version", run.version_id),
+            ("image", run.image_digest),
+            ("runner", run.runner),
+            ("started", run.started_at),
+            ("ended", run.ended_at),
+            *((f"  {name}", value) for name, value in run.parameters.items()),
+        ]
+    )
+    line("")
+    table(["of the file", "sha256", "id"], [(_file(each), each.sha256, each.id) for each in made_by.inputs])
+
+
+def _file(file: LineageFile) -> str:
+    return file.path if file.id is not None else f"{file.path} (not there any more, or not yours to see)"

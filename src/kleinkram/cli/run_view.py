@@ -1,0 +1,120 @@
+"""How runs look: in lists, one by one, and what they said."""
+
+from collections.abc import Iterable, Sequence
+
+from kleinkram.cli.render import details, line, table
+from kleinkram.cli.units import duration, size
+from kleinkram.contract.reports import Finding, Metric
+from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
+
+_NS = 10**9
+
+
+def action_name(action: ActionRef) -> str:
+    """Return an action with its version, as `klein action run` takes it."""
+    return action.name if action.version is None else f"{action.name}@{action.version}"
+
+
+def mission_name(run: RunRead) -> str:
+    """Return a run's mission with its project."""
+    return f"{run.mission.project.name}/{run.mission.name}"
+
+
+def standing(run: RunRead) -> str:
+    """Return what a run is at, or how it ended, in a few words."""
+    if run.state is RunState.queued:
+        return f"queued: {run.waits_for}" if run.waits_for else "queued"
+    if run.state is RunState.failed and run.reason is not None:
+        return f"failed: {run.reason.value}" + ("" if run.exit_code is None else f" {run.exit_code}")
+    if run.state is RunState.done and run.reuses_id is not None:
+        return "done: reused"
+    if run.state is RunState.running and run.progress is not None:
+        return f"running {run.progress.fraction:.0%} {run.progress.message}".rstrip()
+    return str(run.state.value)
+
+
+def show_runs(runs: Iterable[RunRead]) -> None:
+    """Print runs of any missions as a table."""
+    table(
+        ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "id"],
+        [
+            (
+                run.mission.project.name,
+                run.mission.name,
+                action_name(run.action),
+                standing(run),
+                _took(run),
+                sum(run.finding_counts.values()),
+                run.metric_count,
+                run.artifact_count,
+                run.created_at,
+                run.cause.person and run.cause.person.name,
+                run.id,
+            )
+            for run in runs
+        ],
+    )
+
+
+def show_run(run: RunDetail) -> None:
+    """Print all that is known of a run but for its log and what it said."""
+    usage = run.usage
+    details(
+        [
+            ("run", run.id),
+            ("action", action_name(run.action)),
+            ("mission", mission_name(run)),
+            ("state", standing(run)),
+            ("told", run.message),
+            ("results of", run.reuses_id),
+            ("retry of", run.cause.retry_of_id),
+            (
+                "made",
+                f"{run.created_at:%Y-%m-%d %H:%M:%S}Z" + (f" by {run.cause.person.name}" if run.cause.person else ""),
+            ),
+            ("started", run.started_at),
+            ("ended", run.ended_at),
+            ("took", _took(run)),
+            ("attempt", run.attempt if run.attempt > 1 else None),
+            ("runner", run.runner),
+            ("image", run.image_digest),
+            ("network", run.network.value),
+            ("inputs", f"{run.input_count} files, {size(run.input_bytes)}"),
+            *((f"  {name}", value) for name, value in run.parameters.items()),
+            ("used", usage and f"{usage.cpu_s:.1f} s of cores, {size(usage.peak_memory_bytes)} of memory at most"),
+            ("artifacts", run.artifact_count),
+            ("metrics", run.metric_count),
+            ("findings", ", ".join(f"{count} {severity.value}" for severity, count in run.finding_counts.items())),
+            *((f"proposed {name}", value) for name, value in run.metadata.items()),
+            *(("problem", problem) for problem in run.problems),
+        ]
+    )
+
+
+def show_results(metrics: Sequence[MetricRead], findings: Sequence[FindingRead]) -> None:
+    """Print what one run said."""
+    if metrics:
+        line("")
+        show_metrics([each.metric for each in metrics])
+    if findings:
+        line("")
+        show_findings([each.finding for each in findings])
+
+
+def show_metrics(metrics: Iterable[Metric]) -> None:
+    """Print the metrics of one run as a table."""
+    table(["metric", "value", "unit", "file"], [(each.name, each.value, each.unit, each.file) for each in metrics])
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """Print the findings of one run as a table."""
+    table(
+        ["severity", "finding", "message", "file", "topic", "time"],
+        [(each.severity.value, each.code, each.message, each.file, each.topic, each.time_ns) for each in findings],
+    )
+
+
+def _took(run: RunRead) -> str | None:
+    if run.started_at is None or run.ended_at is None:
+        return None
+    return duration(int((run.ended_at - run.started_at).total_seconds() * _NS))
