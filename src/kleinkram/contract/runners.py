@@ -115,9 +115,10 @@ class ClaimInput(BaseModel):
 
 
 class Claim(BaseModel):
-    """A run that is this runner's until its lease ends. `image` is pinned by its digest where that is known.
+    """A run that is this runner's until its lease ends.
 
-    `token` is there with the network `api`: it is for the run, and good as long as the run lasts.
+    `image_digest` is what the image's name was first resolved to, by whichever runner: no other may be run under it.
+    `token` is there unless the network is `none`: it is the run's own, and good as long as the run lasts.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -128,6 +129,7 @@ class Claim(BaseModel):
     mission_id: uuid.UUID
     action: ActionRef
     image: str | None
+    image_digest: str | None
     command: list[str]
     script: str | None
     dependencies: list[str]

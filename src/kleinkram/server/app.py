@@ -12,6 +12,7 @@ import kleinkram
 from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.access.owner import let_owner_in
+from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
@@ -42,6 +43,8 @@ from kleinkram.server.people.routes import router as people
 from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
+from kleinkram.server.runners.routes import router as runners
+from kleinkram.server.runs.routes import router as runs
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares.page import router as share_page
@@ -63,6 +66,9 @@ ROUTERS = (
     overviews,
     uploads,
     search,
+    actions,
+    runs,
+    runners,
     trash,
     tokens,
     grants,

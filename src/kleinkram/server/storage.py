@@ -264,6 +264,26 @@ class Storage:
         except LOST as error:
             raise StoreUnavailable(reason=f"reading stopped: {why(error)}") from error
 
+    async def read_range(self, key: str, *, offset: int, size_bytes: int) -> bytes:
+        """Return some bytes of an object, fewer where it ends before; to be small enough to be held.
+
+        Raises:
+            FileNotFoundError: the store has no such object.
+            StoreUnavailable: the store does not answer, or stops in the middle.
+        """
+        question = Question("GET", key, headers={"Range": f"bytes={offset}-{offset + size_bytes - 1}"})
+        try:
+            async with aclosing(self._s3.stream(question)) as pieces:
+                return b"".join([piece async for piece in pieces])
+        except S3Error as error:
+            if error.code == "InvalidRange":
+                return b""
+            if error.code == "NoSuchKey":
+                raise FileNotFoundError(key) from None
+            raise StoreUnavailable(reason=f"read an object: {error.code}") from error
+        except LOST as error:
+            raise StoreUnavailable(reason=f"reading stopped: {why(error)}") from error
+
     async def put_small(self, key: str, body: bytes, headers: Mapping[str, str] | None = None) -> None:
         """Write a small object of the server's own, by the conditions that `headers` state.
 

@@ -37,6 +37,7 @@ from kleinkram.contract.errors.rights import (
     ScopeMissing,
     TokenTooWide,
 )
+from kleinkram.contract.errors.runs import NoInputs, RunGone
 from kleinkram.contract.errors.server import (
     DatabaseUnavailable,
     InternalError,
@@ -84,6 +85,7 @@ __all__ = [
     "MethodNotAllowed",
     "NameLeased",
     "NameTaken",
+    "NoInputs",
     "NotAuthenticated",
     "NotFound",
     "PathConflict",
@@ -92,6 +94,7 @@ __all__ = [
     "QuotaExceeded",
     "RateLimited",
     "RightExceeded",
+    "RunGone",
     "ScopeMissing",
     "SignInDenied",
     "SignInExpired",

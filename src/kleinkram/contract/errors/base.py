@@ -48,6 +48,8 @@ class ErrorCode(str, enum.Enum):
     checksum_mismatch = "checksum_mismatch"
     file_unavailable = "file_unavailable"
     quota_exceeded = "quota_exceeded"
+    run_gone = "run_gone"
+    no_inputs = "no_inputs"
     method_not_allowed = "method_not_allowed"
     store_unavailable = "store_unavailable"
     database_unavailable = "database_unavailable"

@@ -5,13 +5,13 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from kleinkram.contract.errors import files, requests, rights, server, signing_in
+from kleinkram.contract.errors import files, requests, rights, runs, server, signing_in
 from kleinkram.contract.errors.base import ErrorCode, KleinkramError
 from kleinkram.contract.errors.server import InternalError
 
 ERRORS: dict[ErrorCode, type[KleinkramError]] = {
     cls.code: cls
-    for module in (signing_in, rights, requests, files, server)
+    for module in (signing_in, rights, requests, files, runs, server)
     for cls in vars(module).values()
     if isinstance(cls, type) and issubclass(cls, KleinkramError) and hasattr(cls, "code")
 }

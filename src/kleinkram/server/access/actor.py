@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Row, Select, bindparam, exists, func, or_, select, update
 
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
@@ -59,6 +59,9 @@ class Actor:
     is_admin: bool = False
     scopes: frozenset[Scope] = ALL_SCOPES
     limits: Limits | None = None
+    # A run, by its own token: with no more than this right, whatever whoever started it holds.
+    run_id: uuid.UUID | None = None
+    most: Right | None = None
     # The row of the table of operations under which this request came in.
     operation: str | None = None
     # All missions that they see, where that was asked and these are few.
@@ -157,6 +160,8 @@ def _by_token() -> Select[Any]:
         token.c.kind,
         token.c.scopes,
         token.c.is_limited,
+        token.c.run_id,
+        token.c.most,
         limits(token_limit.c.project_id).label("project_ids"),
         limits(token_limit.c.mission_id).label("mission_ids"),
     )
@@ -173,9 +178,12 @@ def _carrier(row: Row[Any]) -> Actor:
         row.token_id,
         None,
         ActorKind.runner if row.kind == TokenKind.runner.value else ActorKind.person,
-        is_admin=row.is_admin and Scope.admin in scopes,
+        # A run of an admin's has an admin's rights on its mission; what is for admins takes a scope that no run has.
+        is_admin=row.is_admin and (Scope.admin in scopes or row.run_id is not None),
         scopes=scopes,
         limits=limits,
+        run_id=row.run_id,
+        most=None if row.most is None else Right(row.most),
     )
 
 

@@ -23,6 +23,7 @@ class On(str, enum.Enum):
 class Need:
     """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
 
+    `runners`: also of a runner, for the runs that it holds, whatever its scopes; `only_runners`: of nobody else.
     `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
     `boundless`: only by a credential without limits, since it is about all that its person has.
     """
@@ -32,6 +33,7 @@ class Need:
     scopes: frozenset[Scope]
     guests: bool = False
     runners: bool = False
+    only_runners: bool = False
     browsers: bool = False
     boundless: bool = False
 
@@ -41,6 +43,7 @@ _READ = frozenset({Scope.read})
 _UPLOAD = frozenset({Scope.upload})
 _WRITE = frozenset({Scope.write})
 _ADMIN = frozenset({Scope.admin})
+_RUN = frozenset({Scope.run})
 _ANY = frozenset(Scope)
 
 
@@ -50,6 +53,10 @@ def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Need:
 
 def _door() -> Need:
     return Need(On.nothing, None, _ANY, guests=True)
+
+
+def _runner() -> Need:
+    return Need(On.nothing, None, _RUN, runners=True, only_runners=True)
 
 
 OPERATIONS: dict[str, Need] = {
@@ -93,9 +100,40 @@ OPERATIONS: dict[str, Need] = {
     "begin_uploads": Need(On.mission, Right.create, _UPLOAD),
     "list_uploads": Need(On.mission, Right.create, _UPLOAD),
     "get_upload": Need(On.mission, Right.create, _UPLOAD),
-    "sign_parts": Need(On.mission, Right.create, _UPLOAD),
-    "complete_uploads": Need(On.mission, Right.create, _UPLOAD),
-    "abort_upload": Need(On.mission, Right.create, _UPLOAD),
+    "sign_parts": Need(On.mission, Right.create, _UPLOAD, runners=True),
+    "complete_uploads": Need(On.mission, Right.create, _UPLOAD, runners=True),
+    "abort_upload": Need(On.mission, Right.create, _UPLOAD, runners=True),
+    # Actions: a project's, or the whole lab's, which everybody with an account sees
+    "list_actions": _seen(guests=False),
+    "create_action": Need(On.project, Right.write, _WRITE),
+    "get_action": Need(On.project, Right.read, _READ),
+    "update_action": Need(On.project, Right.write, _WRITE),
+    "list_action_versions": Need(On.project, Right.read, _READ),
+    "publish_action_version": Need(On.project, Right.write, _WRITE),
+    # Runs. To start one takes what its action asks for too; to cancel another's takes DELETE.
+    "create_runs": Need(On.mission, Right.create, _RUN),
+    "list_runs": _seen(guests=False),
+    "get_run": Need(On.mission, Right.read, _READ),
+    "cancel_run": Need(On.mission, Right.create, _RUN),
+    "retry_run": Need(On.mission, Right.create, _RUN),
+    "list_run_inputs": Need(On.mission, Right.read, _READ),
+    "list_artifacts": Need(On.mission, Right.read, _READ),
+    "download_artifacts": Need(On.mission, Right.read, _READ),
+    "get_run_log": Need(On.mission, Right.read, _READ),
+    "list_findings": _seen(guests=False),
+    "list_run_metrics": _seen(guests=False),
+    "get_lineage": Need(On.mission, Right.read, _READ),
+    # Runners, which say all of this of runs that they hold
+    "list_runners": Need(On.server, None, _ADMIN),
+    "say_hello": _runner(),
+    "claim_run": _runner(),
+    "beat": _runner(),
+    "get_run_context": _runner(),
+    "sign_inputs": _runner(),
+    "sign_log_segment": _runner(),
+    "keep_log_segment": _runner(),
+    "begin_artifacts": _runner(),
+    "finish_run": _runner(),
     # Rights. Who may change them on a place sees all of them there; anybody else sees what is their own.
     "list_project_grants": Need(On.project, Right.write, _READ),
     "list_mission_grants": Need(On.mission, Right.write, _READ),

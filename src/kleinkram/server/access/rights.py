@@ -32,7 +32,9 @@ def admit(actor: Actor, operation: str) -> None:
         raise ScopeMissing(operation=_words(operation), scopes="an account")
     if actor.kind is ActorKind.runner and not need.runners:
         raise ScopeMissing(operation=_words(operation), scopes="a person's token")
-    if not need.scopes & actor.scopes:
+    if need.only_runners and actor.kind is not ActorKind.runner:
+        raise ScopeMissing(operation=_words(operation), scopes="a runner's token")
+    if not need.scopes & actor.scopes and actor.kind is not ActorKind.runner:
         raise ScopeMissing(operation=_words(operation), scopes=" or ".join(sorted(need.scopes)))
     if need.browsers and actor.session_id is None:
         raise ScopeMissing(operation=_words(operation), scopes="a browser that is signed in")

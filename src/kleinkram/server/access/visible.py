@@ -168,10 +168,14 @@ def level_on_project(actor: Actor) -> ColumnElement[int]:
 def level_on_mission(actor: Actor) -> ColumnElement[int]:
     """Return the level of `actor`'s right on each `mission` of a select that holds its `project` too; 0 for none."""
     if actor.is_admin:
-        return literal(Right.delete.level)
+        return _at_most(actor, literal(Right.delete.level))
     if actor.kind is ActorKind.share:
         return literal(Right.read.level)
-    return _public_or_granted_level(actor.person_id)
+    return _at_most(actor, _public_or_granted_level(actor.person_id))
+
+
+def _at_most(actor: Actor, level: ColumnElement[int]) -> ColumnElement[int]:
+    return level if actor.most is None else func.least(level, actor.most.level)
 
 
 def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
@@ -270,7 +274,7 @@ def _joined_files() -> Select[Any]:
 
 
 def _reaches_project(actor: Actor, right: Right) -> ColumnElement[bool]:
-    if actor.kind is ActorKind.share:
+    if actor.kind is ActorKind.share or _is_beyond(actor, right):
         return false()
     within = true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
     if actor.is_admin:
@@ -278,7 +282,13 @@ def _reaches_project(actor: Actor, right: Right) -> ColumnElement[bool]:
     return and_(within, project.c.id.in_(_my_projects(actor.person_id, right)))
 
 
+def _is_beyond(actor: Actor, right: Right) -> bool:
+    return actor.most is not None and right.level > actor.most.level
+
+
 def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
+    if _is_beyond(actor, right):
+        return false()
     within: ColumnElement[bool] = true()
     if actor.limits is not None:
         places = among(mission.c.project_id, actor.limits.project_ids), among(mission.c.id, actor.limits.mission_ids)

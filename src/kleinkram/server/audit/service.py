@@ -66,7 +66,7 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
     await tell(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
 
 
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim"})
+_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 # What is only asked for, looked at or refused leaves all as it was.
 _NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})

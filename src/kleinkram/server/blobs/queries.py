@@ -3,10 +3,11 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, exists, func, select, text
+from sqlalchemy import ColumnElement, Select, exists, func, or_, select, text
 
 from kleinkram.contract.files import BlobState, ContentState
-from kleinkram.server.tables import blob, file
+from kleinkram.server.tables import blob, file, run, run_artifact, run_input
+from kleinkram.server.tables.run import ACTIVE
 
 
 def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
@@ -18,8 +19,13 @@ def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
 
 
 def is_referred() -> ColumnElement[bool]:
-    """Say of a blob whether any file refers to it, in the trash or out of it."""
-    return exists().where(file.c.blob_id == blob.c.id)
+    """Say of a blob whether anything refers to it: a file, in the trash or out of it; a run that is not over and was
+    given it; what a run left, and its log.
+    """
+    given = exists().where(run_input.c.blob_id == blob.c.id, run.c.id == run_input.c.run_id, run.c.state.in_(ACTIVE))
+    left = exists().where(run_artifact.c.blob_id == blob.c.id)
+    written = exists().where(run.c.log_blob_id == blob.c.id)
+    return or_(exists().where(file.c.blob_id == blob.c.id), left, written, given)
 
 
 def unread() -> Select[Any]:

@@ -6,9 +6,10 @@ Holds some thousand notices in memory, and no database connection for a stream. 
 import asyncio
 import logging
 import secrets
+import time
 import uuid
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 
@@ -132,6 +133,15 @@ class Hub:
             yield listener
         finally:
             del self._listeners[listener]
+
+    async def hear_of(self, listener: Listener, nouns: Collection[str], *, at_most_s: float) -> None:
+        """Wait until something of these nouns changed, or may have; until all is over; or until the time is."""
+        until = time.monotonic() + at_most_s
+        while not self.is_over and (left_s := until - time.monotonic()) > 0:
+            await listener.wait(left_s)
+            heard = listener.take(self.place)
+            if heard.was_too_much or heard.was_missed or any(each.noun in nouns for each in heard.notices):
+                return
 
     def end(self) -> None:
         """End all streams, soon."""

@@ -18,6 +18,7 @@ class Job(str, enum.Enum):
     prove_blob = "prove_blob"
     group_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
+    tend_runs = "tend_runs"
     sweep = "sweep"
 
 

@@ -20,6 +20,7 @@ from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import DEFAULT, GROUPING, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
@@ -29,7 +30,7 @@ _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3
 _STALLED_CHECK_S = 20
 # Importing a feature's jobs is what makes the queue know them.
-JOB_MODULES = (_blob_jobs, _recording_jobs, _upload_jobs)
+JOB_MODULES = (_blob_jobs, _recording_jobs, _run_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:

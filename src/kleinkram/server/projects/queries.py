@@ -53,7 +53,9 @@ def _duration(actor: Actor) -> ColumnElement[Any]:
 
 
 def _upload_amounts(actor: Actor) -> ColumnElement[Any]:
-    stmt = _amounts(func.count(), func.sum(upload.c.size_bytes)).where(upload.c.state.in_(UNDER_WAY))
+    stmt = _amounts(func.count(), func.sum(upload.c.size_bytes)).where(
+        upload.c.state.in_(UNDER_WAY), upload.c.run_id.is_(None)
+    )
     if not _knows_drafts(actor):
         stmt = stmt.where(upload.c.person_id == actor.person_id)
     joined = stmt.join_from(mission, upload, upload.c.mission_id == mission.c.id)

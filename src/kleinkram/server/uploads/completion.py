@@ -45,8 +45,9 @@ from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.artifacts import make_artifacts
 from kleinkram.server.uploads.joining import Failures, join_at_store
-from kleinkram.server.uploads.rules import UNREADABLE, as_shown, first_come
+from kleinkram.server.uploads.rules import UNREADABLE, as_shown, blob_values, first_come
 from kleinkram.server.uploads.signing_parts import is_multipart
 
 _log = logging.getLogger("kleinkram.uploads")
@@ -60,13 +61,16 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
     pending = [row for row in rows.values() if row.id not in failures and row.state != UploadState.done.value]
     failures |= await settle(site, actor, pending)
     async with site.database.begin() as db:
-        found = await db.execute(select(upload.c.id, upload.c.file_id).where(among(upload.c.id, rows)))
+        columns = (upload.c.id, upload.c.file_id, upload.c.run_id, upload.c.state)
+        found = (await db.execute(select(*columns).where(among(upload.c.id, rows)))).all()
         made = {row.id: row.file_id for row in found if row.file_id}
+        artifacts = {row.id for row in found if row.run_id and row.state == UploadState.done.value}
         reads = {read.id: read for read in await files.read_visible_files(db, actor, list(made.values()))}
     outcomes: list[UploadOutcome] = []
     for finish in finishes:
         read = reads.get(made.get(finish.upload_id, finish.upload_id))
-        is_there = read is not None or (finish.upload_id in made and Scope.read not in actor.scopes)
+        is_unseen = finish.upload_id in made and Scope.read not in actor.scopes
+        is_there = read is not None or is_unseen or finish.upload_id in artifacts
         if is_there and finish.upload_id not in failures:
             outcomes.append(Completed(upload_id=finish.upload_id, file=read))
         else:
@@ -80,12 +84,15 @@ async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures
     """Take marked uploads to their end at the store and in the database; return those that failed, and why."""
     failures = await join_at_store(site.storage, rows)
     joined = [row for row in rows if row.id not in failures]
-    by_mission: dict[uuid.UUID, list[Row[Any]]] = {}
+    by_place: dict[tuple[uuid.UUID, uuid.UUID | None], list[Row[Any]]] = {}
     for row in joined:
-        by_mission.setdefault(row.mission_id, []).append(row)
-    for mission_id, group in by_mission.items():
+        by_place.setdefault((row.mission_id, row.run_id), []).append(row)
+    for (mission_id, run_id), group in by_place.items():
         async with site.database.begin() as db:
-            failures |= await _make_files(db, actor, mission_id, group)
+            if run_id is None:
+                failures |= await _make_files(db, actor, mission_id, group)
+            else:
+                failures |= await make_artifacts(db, run_id, group)
     if not failures:
         return failures
     ended = {key: error for key, error in failures.items() if not isinstance(error, UploadIncomplete)}
@@ -198,7 +205,7 @@ async def _insert(
     if not rows:
         return {}
     blob_ids = {row.id: uuid.uuid4() for row in rows}
-    await db.execute(insert(blob), [_blob_values(row, blob_ids[row.id]) for row in rows])
+    await db.execute(insert(blob), [blob_values(row, blob_ids[row.id]) for row in rows])
     mended = {row.id: existing[row.path_key].id for row in rows if row.path_key in existing}
     for upload_id, file_id in mended.items():
         await db.execute(update(file).where(file.c.id == file_id).values(blob_id=blob_ids[upload_id]))
@@ -241,20 +248,6 @@ async def _insert(
     await examine_blobs(db, list(blob_ids.values()))
     await regroup(db, mission_id)
     return made
-
-
-def _blob_values(row: Row[Any], blob_id: uuid.UUID) -> dict[str, object]:
-    # Only a checksum that the store compared itself is kept as its word.
-    verified = row.checksum == ChecksumKind.crc64nvme.value
-    return {
-        "id": blob_id,
-        "store_id": row.store_id,
-        "key": row.key,
-        "size_bytes": row.size_bytes,
-        "crc64nvme": row.crc64nvme if verified else None,
-        "sha256": row.sha256,
-        "uploaded_by_id": row.person_id,
-    }
 
 
 async def _close(db: Connection, mission_id: uuid.UUID, made: Mapping[uuid.UUID, uuid.UUID]) -> None:

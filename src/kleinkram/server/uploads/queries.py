@@ -8,10 +8,11 @@ from sqlalchemy import ColumnElement, Row, Select, false, func, select
 
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.rights import Right, Scope
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
-from kleinkram.server.tables import blob, file, mission, upload
+from kleinkram.server.tables import blob, file, mission, run, runner, upload
+from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
 
 # What makes two files the same: size in bytes and SHA-256.
@@ -19,9 +20,14 @@ Content = tuple[int, bytes]
 
 
 def own_uploads(actor: Actor) -> Select[Any]:
-    """Return the uploads that `actor` began, in missions that they may still fill."""
+    """Return the uploads that `actor` began, in missions that they may still fill; a runner: of runs that it holds."""
+    if actor.kind is ActorKind.runner:
+        mine = select(runner.c.id).where(runner.c.person_id == actor.person_id)
+        held = select(run.c.id).where(run.c.runner_id.in_(mine), run.c.state.in_(HELD))
+        return select(upload).where(upload.c.run_id.in_(held))
     missions = visible_missions(actor, Right.create).with_only_columns(mission.c.id)
-    return select(upload).where(upload.c.person_id == actor.person_id, upload.c.mission_id.in_(missions))
+    own = (upload.c.person_id == actor.person_id) & upload.c.run_id.is_(None)
+    return select(upload).where(own, upload.c.mission_id.in_(missions))
 
 
 async def live_files(db: Connection, mission_id: uuid.UUID, path_keys: Collection[str]) -> dict[str, Row[Any]]:
@@ -36,9 +42,10 @@ async def live_files(db: Connection, mission_id: uuid.UUID, path_keys: Collectio
 
 async def active_uploads(db: Connection, mission_id: uuid.UUID, path_keys: Collection[str]) -> dict[str, Row[Any]]:
     """Return the uploads that hold the given keys of a mission, locked."""
+    holding = (upload.c.mission_id == mission_id) & upload.c.run_id.is_(None)
     statement = (
         select(upload, (upload.c.lease_ends_at > func.now()).label("leased"))
-        .where(upload.c.mission_id == mission_id, among(upload.c.path_key, path_keys), upload.c.state.in_(UNDER_WAY))
+        .where(holding, among(upload.c.path_key, path_keys), upload.c.state.in_(UNDER_WAY))
         .order_by(upload.c.id)
         .with_for_update()
     )

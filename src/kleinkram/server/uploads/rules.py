@@ -12,7 +12,7 @@ from sqlalchemy import Row
 from kleinkram.contract.errors import FileExists, KleinkramError, NameLeased, PathConflict
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import name_key
-from kleinkram.contract.uploads import UploadFile, UploadState
+from kleinkram.contract.uploads import ChecksumKind, UploadFile, UploadState
 from kleinkram.server.uploads.queries import Content
 
 # What a conflict names to who may not read what is there.
@@ -136,3 +136,18 @@ def first_come(paths: Sequence[str]) -> dict[int, str]:
         files[key] = path
         folders |= dict.fromkeys(above, path)
     return refused
+
+
+def blob_values(row: Row[Any], blob_id: uuid.UUID) -> dict[str, object]:
+    """Return the row of the blob that an upload becomes."""
+    # Only a checksum that the store compared itself is kept as its word.
+    verified = row.checksum == ChecksumKind.crc64nvme.value
+    return {
+        "id": blob_id,
+        "store_id": row.store_id,
+        "key": row.key,
+        "size_bytes": row.size_bytes,
+        "crc64nvme": row.crc64nvme if verified else None,
+        "sha256": row.sha256,
+        "uploaded_by_id": row.person_id,
+    }

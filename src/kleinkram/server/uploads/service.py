@@ -82,9 +82,9 @@ async def begin_uploads(
         rows = await queries.locked_uploads(db, actor, held)
     try:
         multipart = [row for row in rows.values() if is_multipart(row)]
-        parts = await _open_at_store(site, multipart) if multipart else {}
+        parts = await open_at_store(site, multipart) if multipart else {}
     except StoreUnavailable:
-        await _let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
+        await let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
     reads: dict[uuid.UUID, FileRead] = {}
     if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
@@ -93,7 +93,7 @@ async def begin_uploads(
     return [_answer(actor, decision, rows, parts, reads) for decision in decisions]
 
 
-async def _let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
+async def let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
     """Free names whose holder never heard of it."""
     async with site.database.begin() as db:
         unheard = upload.c.id.in_([each for each in upload_ids if each]) & (upload.c.state == UploadState.open.value)
@@ -148,21 +148,27 @@ async def _hold_names(
     batch = uuid.uuid4()
     # The database's clock, asked once: leases are compared with it, and machines' clocks differ.
     now = (await db.execute(select(func.now()))).scalar_one()
-    rows = [_new_upload(site, actor, mission_id, batch, decision.wanted, now) for decision in begun]
+    rows = [new_upload(site, actor.person_id, mission_id, batch, decision.wanted, now) for decision in begun]
     statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement, rows)}
     await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
 
 
-def _new_upload(
-    site: Site, actor: Actor, mission_id: uuid.UUID, batch: uuid.UUID, wanted: UploadFile, now: datetime.datetime
+def new_upload(
+    site: Site,
+    person_id: uuid.UUID | None,
+    mission_id: uuid.UUID,
+    batch: uuid.UUID,
+    wanted: UploadFile,
+    now: datetime.datetime,
 ) -> dict[str, Any]:
+    """Return the row of an upload that begins."""
     upload_id = uuid.uuid4()
     return {
         "id": upload_id,
         "mission_id": mission_id,
-        "person_id": actor.person_id,
+        "person_id": person_id,
         "path": wanted.path,
         "path_key": name_key(wanted.path),
         "size_bytes": wanted.size_bytes,
@@ -233,7 +239,7 @@ async def _link_twins(
     return [replace(d, ref=made[d.wanted.path]) if d.way is Way.link else d for d in decisions]
 
 
-async def _open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
+async def open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
     """Open the multipart uploads that are not open yet, and return the parts that the store holds of each."""
     gate = asyncio.Semaphore(_AT_ONCE)
 

@@ -1,0 +1,1 @@
+"""Actions: published definitions of what to run, in versions that never change."""

@@ -1,0 +1,78 @@
+"""Actions over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from kleinkram.contract.actions import (
+    ActionCreate,
+    ActionFilter,
+    ActionRead,
+    ActionUpdate,
+    ActionVersionRead,
+    VersionCreate,
+)
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.server.actions import service
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.pages import PageRequest
+
+router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
+
+
+class ActionListQuery(ActionFilter):
+    """The query of a list of actions."""
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+
+
+@router.get("", operation_id="list_actions")
+async def list_actions(
+    query: Annotated[ActionListQuery, Query()], db: Transaction, actor: CurrentActor
+) -> Page[ActionRead]:
+    """List the actions that match, by name: of projects that you may read, and of the whole lab."""
+    return await service.list_actions(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
+
+
+@router.post("", operation_id="create_action", status_code=201)
+async def create_action(
+    wanted: ActionCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> ActionRead:
+    """Publish an action, as its first version."""
+    return await service.create_action(db, actor, wanted=wanted, creators=settings.creators)
+
+
+@router.get("/{action_id}", operation_id="get_action")
+async def get_action(action_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> ActionRead:
+    """Get an action with its latest version."""
+    return await service.get_action(db, actor, action_id)
+
+
+@router.patch("/{action_id}", operation_id="update_action")
+async def update_action(
+    action_id: uuid.UUID, changes: ActionUpdate, db: Transaction, actor: CurrentActor
+) -> ActionRead:
+    """Archive an action, or take it back."""
+    return await service.set_archived(db, actor, action_id=action_id, archived=changes.archived)
+
+
+@router.get("/{action_id}/versions", operation_id="list_action_versions")
+async def list_action_versions(
+    action_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: Annotated[PageSize, Query()] = 100,
+    cursor: Cursor | None = None,
+) -> Page[ActionVersionRead]:
+    """List the versions of an action, latest first."""
+    return await service.list_versions(db, actor, action_id=action_id, page=PageRequest(limit, cursor))
+
+
+@router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)
+async def publish_action_version(
+    action_id: uuid.UUID, wanted: VersionCreate, db: Transaction, actor: CurrentActor
+) -> ActionRead:
+    """Publish a further version of an action."""
+    return await service.add_version(db, actor, action_id=action_id, definition=wanted.definition)

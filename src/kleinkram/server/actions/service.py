@@ -1,0 +1,202 @@
+"""What may be done with actions. A version, once made, stays as it is."""
+
+import hashlib
+import json
+import uuid
+from typing import Any
+
+from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy.dialects.postgresql import insert as upsert
+from sqlalchemy.exc import IntegrityError
+
+from kleinkram.contract.actions import (
+    ActionCreate,
+    ActionDefinition,
+    ActionFilter,
+    ActionRead,
+    ActionVersionRead,
+)
+from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.names import name_key
+from kleinkram.contract.paging import Page
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.creating import require_creator
+from kleinkram.server.access.rights import require_project
+from kleinkram.server.actions import queries
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.settings import Creators
+from kleinkram.server.tables import action, action_version
+
+
+async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:
+    """Return a page of the actions that match, by name.
+
+    Raises:
+        InvalidCursor: the cursor is not of this list.
+    """
+    found = queries.action_rows(actor, queries.narrow(queries.visible_actions(actor), matching))
+    rows = await fetch_page(db, found, queries.ACTION_ORDER, page)
+    return Page(items=[queries.to_action(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
+    """Return one action.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    return queries.to_action(await _row(db, actor, action_id))
+
+
+async def create_action(db: Connection, actor: Actor, *, wanted: ActionCreate, creators: Creators) -> ActionRead:
+    """Publish an action in its first version and return it.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+        Forbidden: they may see it, but publish nothing there; for the whole lab, the settings let others make projects.
+        NameTaken: there is such an action already.
+    """
+    by_power = False
+    if wanted.project_id is None:
+        by_power = await require_creator(db, actor, creators, noun="action")
+    else:
+        await require_project(db, actor, "create_action", wanted.project_id)
+    action_id, name = uuid.uuid4(), wanted.definition.name
+    values = {"project_id": wanted.project_id, "name": name, "name_key": name_key(name)}
+    try:
+        await db.execute(insert(action).values(id=action_id, created_by_id=actor.person_id, **values))
+    except IntegrityError as error:
+        if violated_constraint(error) != "uq_action_name_key_live":
+            raise
+        raise NameTaken(noun="action", name=name) from error
+    await _add_version(db, actor, action_id, 1, wanted.definition)
+    made = await get_action(db, actor, action_id)
+    await record(db, actor, _event("action.create", made, by_power=by_power))
+    return made
+
+
+async def add_version(
+    db: Connection, actor: Actor, *, action_id: uuid.UUID, definition: ActionDefinition
+) -> ActionRead:
+    """Publish a further version of an action and return it; the very same as the latest one changes nothing.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not change it.
+        InvalidRequest: it has another name.
+    """
+    old = await _changeable(db, actor, action_id)
+    if name_key(definition.name) != name_key(old.name):
+        message = f"is {definition.name!r}, but this action is called {old.name!r}; publish it as another action"
+        raise InvalidRequest(problems=[FieldProblem(field="definition.name", message=message)])
+    if definition == old.latest.definition:
+        return old
+    await _add_version(db, actor, action_id, old.latest.number + 1, definition)
+    made = await get_action(db, actor, action_id)
+    await record(db, actor, _event("action.publish", made))
+    return made
+
+
+async def set_archived(db: Connection, actor: Actor, *, action_id: uuid.UUID, archived: bool) -> ActionRead:
+    """Archive an action, or take it back.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        Forbidden: they may see it, but not change it.
+        NameTaken: another one has its name by now.
+    """
+    old = await _changeable(db, actor, action_id)
+    if old.archived is archived:
+        return old
+    values = {"archived_at": func.now() if archived else None}
+    try:
+        await db.execute(update(action).where(action.c.id == action_id).values(**values))
+    except IntegrityError as error:
+        raise NameTaken(noun="action", name=old.name) from error
+    made = await get_action(db, actor, action_id)
+    await record(db, actor, _event("action.archive" if archived else "action.restore", made))
+    return made
+
+
+async def list_versions(
+    db: Connection, actor: Actor, *, action_id: uuid.UUID, page: PageRequest
+) -> Page[ActionVersionRead]:
+    """Return a page of an action's versions, latest first.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    await _row(db, actor, action_id)
+    rows = await fetch_page(db, queries.versions_of(action_id), queries.VERSION_ORDER, page)
+    return Page(items=[queries.to_version(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int | None) -> ActionVersionRead:
+    """Return a version of an action that may be run: the latest, where none is named.
+
+    Raises:
+        NotFound: the action, or that version, is not there, or not for this actor.
+        InvalidRequest: it is archived.
+    """
+    row = await _row(db, actor, action_id)
+    if row.archived_at is not None:
+        problem = FieldProblem(field="action_id", message=f"{row.name} is archived; take it back, or choose another")
+        raise InvalidRequest(problems=[problem])
+    if number is None:
+        return queries.to_version(row)
+    stmt = queries.versions_of(action_id).where(action_version.c.number == number)
+    found = (await db.execute(stmt)).one_or_none()
+    if found is None:
+        raise NotFound(noun="version", ref=f"{row.name}@{number}")
+    return queries.to_version(found)
+
+
+async def keep_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
+    """Keep a definition that is run without being published, once; return its version's id, and its image's digest."""
+    values = _stored(definition)
+    stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
+    await db.execute(stmt.on_conflict_do_nothing())
+    same = (action_version.c.definition_sha256 == values["definition_sha256"]) & action_version.c.action_id.is_(None)
+    row = (await db.execute(select(action_version.c.id, action_version.c.image_digest).where(same))).one()
+    return row.id, row.image_digest
+
+
+async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
+    locked = select(action.c.id).where(action.c.id == action_id).with_for_update()
+    await db.execute(locked)
+    found = await get_action(db, actor, action_id)
+    if not found.may_change:
+        needs = "WRITE on its project" if found.project else "its maker or an admin"
+        raise Forbidden(noun="action", operation="change the action", needs=needs)
+    return found
+
+
+async def _row(db: Connection, actor: Actor, action_id: uuid.UUID) -> Row[Any]:
+    stmt = queries.visible_actions(actor).where(action.c.id == action_id)
+    row = (await db.execute(queries.action_rows(actor, stmt))).one_or_none()
+    if row is None:
+        raise NotFound(noun="action", ref=str(action_id))
+    return row
+
+
+async def _add_version(
+    db: Connection, actor: Actor, action_id: uuid.UUID, number: int, definition: ActionDefinition
+) -> None:
+    values = {"id": uuid.uuid4(), "action_id": action_id, "number": number, "created_by_id": actor.person_id}
+    await db.execute(insert(action_version).values(**values, **_stored(definition)))
+
+
+def _stored(definition: ActionDefinition) -> dict[str, Any]:
+    document = definition.model_dump(mode="json")
+    written = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return {"definition": document, "definition_sha256": hashlib.sha256(written.encode()).digest()}
+
+
+def _event(operation: str, made: ActionRead, *, by_power: bool = False) -> Event:
+    project_id = made.project.id if made.project else None
+    after: Metadata = {"version": made.latest.number}
+    return Event(operation, "action", made.id, made.name, project_id, after=after, by_power=by_power)

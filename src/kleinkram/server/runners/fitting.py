@@ -1,0 +1,69 @@
+"""Which runner could do a run, and why none does."""
+
+import datetime
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from sqlalchemy import Row, Select, func, select
+
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import LEASE_S, Abilities, Capacity, Isolation
+from kleinkram.server.db import Connection
+from kleinkram.server.tables import person, runner
+
+_ALIVE = datetime.timedelta(seconds=LEASE_S)
+
+
+def is_alive() -> Any:
+    """Say of a `runner` whether it was heard of lately."""
+    return runner.c.last_seen_at > func.now() - _ALIVE
+
+
+def alive_stmt() -> Select[Any]:
+    """Return the runners that were heard of lately."""
+    return select(runner).where(is_alive())
+
+
+async def alive_runners(db: Connection) -> Sequence[Row[Any]]:
+    """Return the runners that were heard of lately."""
+    return (await db.execute(alive_stmt())).all()
+
+
+async def is_owners_alone(db: Connection) -> bool:
+    """Say whether one person alone has an account here: runs that are badly isolated can then harm nobody else."""
+    active = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
+    return bool((await db.execute(active)).scalar_one() <= 1)
+
+
+def refusal(run: Row[Any], each: Row[Any], *, owners_alone: bool) -> str | None:
+    """Return why a runner could never do a run; None where it could, once enough of it is free."""
+    abilities = Abilities.model_validate(each.abilities)
+    capacity = Capacity.model_validate(each.capacity)
+    if abilities.isolation is not Isolation.container and not owners_alone:
+        return f"it runs actions as {abilities.executor}, which is only for a server with nobody but its owner"
+    if lacking := sorted(set(run.labels) - set(each.labels)):
+        return f"it has no label {lacking[0]}"
+    if run.needs_images and not abilities.images:
+        return "it has no engine of containers, and the action is an image"
+    if Network(run.network) not in abilities.networks:
+        return f"its runs cannot have the network {run.network!r}"
+    if run.gpus and not abilities.gpus:
+        return "it gives no GPUs to runs"
+    wanted = {"cores": run.cores, "memory_bytes": run.memory_bytes, "disk_bytes": run.disk_bytes, "gpus": run.gpus}
+    for name, amount in wanted.items():
+        most = getattr(capacity, name)
+        if amount > most:
+            return f"it has {most:g} {name.removesuffix('_bytes')} and {amount:g} are asked for"
+    return None
+
+
+def why_waiting(run: Row[Any], runners: Collection[Row[Any]], *, owners_alone: bool) -> str:
+    """Return, as a sentence, why a run that is queued has not begun."""
+    if not runners:
+        return "No runner is there. Start one with `klein runner start`."
+    reasons = {each.name: refusal(run, each, owners_alone=owners_alone) for each in runners}
+    able = [name for name, reason in reasons.items() if reason is None]
+    if able:
+        return f"It waits for {' or '.join(sorted(able)[:3])} to have enough free."
+    told = "; ".join(f"{name}: {reason}" for name, reason in sorted(reasons.items())[:3])
+    return f"No runner that is there can do it ({told})."

@@ -1,0 +1,215 @@
+"""What a runner is given and gives of a run that it holds: inputs, the log as it grows, and how it ended."""
+
+import datetime
+import uuid
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Row, func, insert, select, update
+
+from kleinkram.contract.errors import NotFound, RunGone
+from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.reports import Report, Severity
+from kleinkram.contract.runners import (
+    InputsAsk,
+    InputUrls,
+    RunFinish,
+    RunFinished,
+    SegmentAsk,
+    SegmentKept,
+    SegmentPut,
+)
+from kleinkram.contract.runs import LOG_BYTES, ActionRef, Cause, EndReason, RunContext, RunState
+from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.server.access.actor import Actor, find_person
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.changes import Notice, tell
+from kleinkram.server.db import Connection, among
+from kleinkram.server.files import queries as files
+from kleinkram.server.missions import service as missions
+from kleinkram.server.recordings import queries as recordings
+from kleinkram.server.runners import queries
+from kleinkram.server.runners.service import thinned
+from kleinkram.server.runs.ending import end_run
+from kleinkram.server.runs.putting_back import put_back
+from kleinkram.server.search.topics import to_topic, topic_rows
+from kleinkram.server.site import Site
+from kleinkram.server.storage import PartTarget
+from kleinkram.server.tables import (
+    blob,
+    file,
+    log_segment,
+    run,
+    run_artifact,
+    run_finding,
+    run_input,
+    run_metric,
+)
+
+_AT_ONCE = 1000
+
+
+async def hold(db: Connection, actor: Actor, run_id: uuid.UUID, attempt: int) -> Row[Any]:
+    """Return a run that a runner holds, locked until this transaction ends.
+
+    Raises:
+        RunGone: it holds no such run, or not by this attempt any more.
+    """
+    row = (await db.execute(queries.held_run(actor, run_id, attempt))).one_or_none()
+    if row is None:
+        raise RunGone(run_id=str(run_id))
+    return row
+
+
+async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attempt: int) -> RunContext:
+    """Return what a run is told of itself, its mission and its files; of these as far as they are still there.
+
+    Raises:
+        RunGone: the runner does not hold the run by this attempt.
+    """
+    row = await hold(db, actor, run_id, attempt)
+    starter = await find_person(db, row.started_by_id)
+    if starter is None:
+        raise RunGone(run_id=str(run_id))
+    try:
+        place = await missions.get_mission(db, starter, row.mission_id)
+    except NotFound:
+        raise RunGone(run_id=str(run_id)) from None
+    given = select(run_input.c.file_id).where(run_input.c.run_id == run_id, run_input.c.file_id.is_not(None))
+    seen = visible_files(starter).where(file.c.id.in_(given)).order_by(file.c.path)
+    topics = await db.execute(topic_rows(visible_files(starter).where(file.c.id.in_(given))))
+    named = recordings.recordings_of(starter, row.mission_id)
+    return RunContext(
+        run_id=run_id,
+        action=ActionRef(id=row.action_id, name=row.definition["name"], version=row.number),
+        parameters=row.parameters,
+        cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
+        mission=place,
+        files=[files.to_file(each) for each in await db.execute(files.file_rows(seen))],
+        topics=[to_topic(each) for each in topics],
+        recordings=[recordings.to_recording(each) for each in await db.execute(named)],
+    )
+
+
+async def sign_inputs(site: Site, actor: Actor, *, run_id: uuid.UUID, asked: InputsAsk) -> InputUrls:
+    """Return where a runner reads inputs, in the order asked.
+
+    Raises:
+        RunGone: the runner does not hold the run by this attempt.
+        NotFound: the run has no such input, or its bytes are no longer there.
+    """
+    async with site.database.begin() as db:
+        await hold(db, actor, run_id, asked.attempt)
+        joined = select(run_input.c.path, blob.c.key).join_from(run_input, blob, blob.c.id == run_input.c.blob_id)
+        wanted = joined.where(run_input.c.run_id == run_id, among(run_input.c.path, asked.paths))
+        keys = {row.path: row.key for row in await db.execute(wanted)}
+    for path in asked.paths:
+        if path not in keys:
+            raise NotFound(noun="input", ref=path)
+    expires_s = site.settings.download_url_s
+    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
+    urls = [site.storage.sign_read(keys[path], path=path, expires_s=expires_s) for path in asked.paths]
+    return InputUrls(urls=urls, expires_at=expires_at)
+
+
+async def sign_segment(site: Site, actor: Actor, *, run_id: uuid.UUID, asked: SegmentAsk) -> SegmentPut:
+    """Return where a runner stores a piece of a log. Asked again, the piece may go to another place: none is shown yet.
+
+    Raises:
+        RunGone: the runner does not hold the run by this attempt, or the log would be longer than logs may be.
+    """
+    if asked.offset > LOG_BYTES:
+        raise RunGone(run_id=str(run_id))
+    key = f"runs/{run_id}/{asked.attempt}/log/{asked.offset:012}-{uuid.uuid4().hex[:8]}"
+    async with site.database.begin() as db:
+        await hold(db, actor, run_id, asked.attempt)
+        values = {"run_id": run_id, "attempt": asked.attempt, "offset_bytes": asked.offset}
+        stmt = insert(log_segment).values(
+            key=key, store_id=site.settings.store_id, size_bytes=asked.size_bytes, **values
+        )
+        await db.execute(stmt)
+    kind = site.storage.checksum
+    checksum = {ChecksumKind.sha256: asked.sha256, ChecksumKind.crc64nvme: asked.crc64nvme, ChecksumKind.md5: asked.md5}
+    target = PartTarget(key, None, 1, asked.size_bytes, checksum[kind])
+    signed = site.storage.sign_part(target, expires_s=site.settings.part_url_s)
+    return SegmentPut(url=signed.url, headers=signed.headers)
+
+
+async def keep_segment(db: Connection, actor: Actor, *, run_id: uuid.UUID, kept: SegmentKept) -> None:
+    """Show a piece of a log that was stored. Pieces come one after the other; one that is shown already stays.
+
+    Raises:
+        RunGone: the runner does not hold the run by this attempt.
+    """
+    await hold(db, actor, run_id, kept.attempt)
+    same = (log_segment.c.run_id == run_id) & (log_segment.c.attempt == kept.attempt)
+    shown = select(log_segment.c.key).where(
+        same, log_segment.c.kept_at.is_not(None), log_segment.c.offset_bytes >= kept.offset
+    )
+    if (await db.execute(shown.limit(1))).first() is not None:
+        return
+    here = same & (log_segment.c.offset_bytes == kept.offset) & (log_segment.c.size_bytes == kept.size_bytes)
+    latest = select(log_segment.c.key).where(here).order_by(log_segment.c.created_at.desc()).limit(1)
+    stmt = update(log_segment).where(log_segment.c.key.in_(latest)).values(kept_at=func.now())
+    await db.execute(stmt)
+    row = (await db.execute(select(run.c.mission_id).where(run.c.id == run_id))).one()
+    await tell(db, [Notice("run_log", ChangeKind.changed, run_id, mission_id=row.mission_id)])
+
+
+async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, said: RunFinish) -> RunFinished:
+    """Write down how a run ended, with all that it said. Said again, the same answer comes.
+
+    Raises:
+        RunGone: the runner does not hold the run by this attempt, and did not end it.
+    """
+    ended = select(run.c.state).where(run.c.id == run_id, run.c.attempt == said.attempt, run.c.ended_at.is_not(None))
+    over = (await db.execute(ended)).scalar_one_or_none()
+    if over is not None:
+        return RunFinished(state=RunState(over))
+    row = await hold(db, actor, run_id, said.attempt)
+    problems = list(said.problems)
+    artifacts = await _artifacts(db, run_id)
+    if said.reason is EndReason.done:
+        problems += await put_back(db, row, said.report.put_back, artifacts)
+    await _keep_words(db, run_id, said.report)
+    samples = thinned([*row.samples, *(each.model_dump(mode="json") for each in said.samples)])
+    values = {
+        "problems": problems[:200],
+        "exit_code": said.exit_code,
+        "proposed": said.report.metadata,
+        "previews": [each.model_dump(mode="json") for each in said.report.previews if each.path in artifacts],
+        "artifact_count": len(artifacts),
+        "metric_count": len(said.report.metrics),
+        "finding_counts": _counted(said.report),
+        "samples": samples,
+        "usage": row.usage if said.usage is None else said.usage.model_dump(mode="json"),
+    }
+    await end_run(db, row, said.reason, said.message, **values)
+    state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
+    name = row.definition["name"]
+    after: Metadata = {"reason": said.reason.value, "artifacts": len(artifacts)}
+    event = Event("run.end", "run", run_id, name, row.project_id, after=after, mission_id=row.mission_id)
+    await record(db, actor, event)
+    return RunFinished(state=RunState(state))
+
+
+async def _artifacts(db: Connection, run_id: uuid.UUID) -> dict[str, Row[Any]]:
+    stmt = select(run_artifact, blob.c.size_bytes, blob.c.sha256).join_from(run_artifact, blob)
+    return {row.path: row for row in await db.execute(stmt.where(run_artifact.c.run_id == run_id))}
+
+
+async def _keep_words(db: Connection, run_id: uuid.UUID, report: Report) -> None:
+    findings = [{"run_id": run_id, **each.model_dump(mode="json")} for each in report.findings]
+    metrics = [{"run_id": run_id, **each.model_dump(mode="json")} for each in report.metrics]
+    for table, rows in ((run_finding, findings), (run_metric, metrics)):
+        for first in range(0, len(rows), _AT_ONCE):
+            await db.execute(insert(table), rows[first : first + _AT_ONCE])
+
+
+def _counted(report: Report) -> Mapping[str, int]:
+    counts = {severity.value: 0 for severity in Severity}
+    for each in report.findings:
+        counts[each.severity.value] += 1
+    return {severity: count for severity, count in counts.items() if count}

@@ -1,0 +1,96 @@
+"""What runners ask of the database. Functions return selects; they touch no connection."""
+
+import uuid
+from collections.abc import Collection
+from typing import Any
+
+from sqlalchemy import Row, Select, func, literal, or_, select
+
+from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, Isolation, RunnerRead
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.pages import Order
+from kleinkram.server.runners.fitting import is_alive
+from kleinkram.server.tables import action, action_version, mission, project, run, runner
+from kleinkram.server.tables.run import HELD
+
+RUNNER_ORDER = Order([runner.c.name, runner.c.id])
+# Fractions of cores are added and taken away as floats.
+_ROUNDING = 1e-6
+
+
+def own_runner(actor: Actor, runner_id: uuid.UUID) -> Select[Any]:
+    """Return a runner of the person whose token it came with."""
+    return select(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
+
+
+def runner_rows() -> Select[Any]:
+    """Return all runners, as `to_runner` reads them."""
+    held = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(HELD))
+    active = held.correlate(runner).scalar_subquery().label("active_runs")
+    return select(runner, is_alive().label("is_alive"), active)
+
+
+def to_runner(row: Row[Any]) -> RunnerRead:
+    """Return the runner that a row stands for."""
+    return RunnerRead(
+        id=row.id,
+        name=row.name,
+        labels=row.labels,
+        capacity=Capacity.model_validate(row.capacity),
+        abilities=Abilities.model_validate(row.abilities),
+        stock_image=row.stock_image,
+        version=row.version,
+        last_seen_at=row.last_seen_at,
+        is_alive=row.is_alive,
+        active_runs=row.active_runs,
+    )
+
+
+def _with_definition() -> Select[Any]:
+    columns = (
+        action_version.c.definition,
+        action_version.c.image_digest.label("pinned_digest"),
+        action_version.c.number,
+        action.c.id.label("action_id"),
+        mission.c.project_id,
+    )
+    return (
+        select(run, *columns)
+        .join_from(run, mission, mission.c.id == run.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(action_version, action_version.c.id == run.c.version_id)
+        .outerjoin(action, action.c.id == action_version.c.action_id)
+    )
+
+
+def unheard_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[Any]:
+    """Return a run that this runner was given and knows nothing of: the answer was lost."""
+    given = (run.c.runner_id == runner_id) & run.c.state.in_(HELD) & run.c.id.not_in(held)
+    return _with_definition().where(given).limit(1).with_for_update(of=run)
+
+
+def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[Any] | None:
+    """Return the oldest run in the queue that fits what a runner has free, locked; None where it may do none."""
+    abilities = Abilities.model_validate(row.abilities)
+    if abilities.isolation is not Isolation.container and not owners_alone:
+        return None
+    free = asked.free
+    fits = (
+        (run.c.cores <= free.cores + _ROUNDING)
+        & (run.c.memory_bytes <= free.memory_bytes)
+        & (run.c.disk_bytes <= free.disk_bytes)
+        & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
+        & run.c.labels.contained_by(row.labels)
+        & run.c.network.in_([network.value for network in abilities.networks])
+        & or_(~run.c.needs_images, literal(abilities.images))
+    )
+    live = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None)
+    queued = _with_definition().where(run.c.state == "queued", live, fits)
+    return queued.order_by(run.c.created_at, run.c.id).limit(1).with_for_update(of=run, skip_locked=True)
+
+
+def held_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
+    """Return a run that a runner of this person's holds by this attempt, locked."""
+    owned = select(runner.c.id).where(runner.c.person_id == actor.person_id)
+    current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & run.c.runner_id.in_(owned)
+    return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)

@@ -1,0 +1,245 @@
+"""What runners may do: say what they are, ask for a run, and say what those that they hold are at."""
+
+import datetime
+import time
+import uuid
+from typing import Any
+
+from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.contract.actions import ActionDefinition, Network
+from kleinkram.contract.errors import Forbidden, NotFound
+from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.paging import Page
+from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.contract.runners import (
+    LEASE_S,
+    Beat,
+    BeatAnswer,
+    BeatAnswers,
+    Beats,
+    Claim,
+    ClaimAsk,
+    Claimed,
+    ClaimInput,
+    RunnerHello,
+    RunnerRead,
+    Verdict,
+)
+from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
+from kleinkram.contract.secrets import SecretKind
+from kleinkram.server.access.actor import Actor, find_person
+from kleinkram.server.access.secrets import new_secret
+from kleinkram.server.access.visible import level_on_mission, visible_missions
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.changes import Notice, tell
+from kleinkram.server.db import Connection
+from kleinkram.server.events.hub import Hub
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.runners import queries
+from kleinkram.server.runners.fitting import is_owners_alone
+from kleinkram.server.runs.ending import end_run, take_back_lost
+from kleinkram.server.site import Site
+from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
+from kleinkram.server.tables.run import HELD
+
+_SCOPES = {
+    Right.read: [Scope.read],
+    Right.create: [Scope.read, Scope.upload],
+    Right.write: [Scope.write],
+    Right.delete: [Scope.write],
+}
+_ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
+# Between two looks where nothing was heard of: a lease that runs out tells nobody.
+_LOOK_EVERY_S = 5.0
+_LEASE = datetime.timedelta(seconds=LEASE_S)
+# A token ends with its run; should nobody say so, then not long after the run could have lasted.
+_TOKEN_SPARE_S = 3600
+
+
+async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> RunnerRead:
+    """Note what a runner is, and that it is there.
+
+    Raises:
+        Forbidden: it is another person's runner.
+    """
+    known = (await db.execute(select(runner).where(runner.c.id == hello.id).with_for_update())).one_or_none()
+    if known and known.person_id != actor.person_id:
+        raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
+    said = hello.model_dump(mode="json", exclude={"id"})
+    stmt = upsert(runner).values(id=hello.id, person_id=actor.person_id, last_seen_at=func.now(), **said)
+    same = {name: stmt.excluded[name] for name in (*said, "last_seen_at")}
+    await db.execute(stmt.on_conflict_do_update(index_elements=["id"], set_=same))
+    if known is None:
+        event = Event("runner.arrive", "runner", hello.id, hello.name, None, after={"labels": list(hello.labels)})
+        await record(db, actor, event)
+    await tell(db, [Notice("runner", ChangeKind.changed, hello.id)])
+    return queries.to_runner((await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one())
+
+
+async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]:
+    """Return a page of all runners, by name.
+
+    Raises:
+        InvalidCursor: the cursor is not of this list.
+    """
+    rows = await fetch_page(db, queries.runner_rows(), queries.RUNNER_ORDER, page)
+    return Page(items=[queries.to_runner(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
+    """Give a runner the oldest run that fits what it has free; wait for one, where there is none.
+
+    Raises:
+        NotFound: nobody of this person's is that runner: it must say hello first.
+    """
+    until = time.monotonic() + asked.wait_s
+    with hub.listening(actor.person_id, after=None) as listener:
+        while True:
+            async with site.database.begin() as db:
+                found = await _claim_now(db, actor, runner_id, asked)
+            left_s = until - time.monotonic()
+            if found is not None or left_s <= 0 or hub.is_over:
+                return Claimed(claim=found)
+            await hub.hear_of(listener, {"run"}, at_most_s=min(left_s, _LOOK_EVERY_S))
+
+
+async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimAsk) -> Claim | None:
+    seen = update(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
+    row = (await db.execute(seen.values(last_seen_at=func.now()).returning(runner))).one_or_none()
+    if row is None:
+        raise NotFound(noun="runner", ref=str(runner_id))
+    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.held))).one_or_none()
+    if unheard is not None:
+        return await _given(db, unheard, runner_id, unheard.attempt)
+    await take_back_lost(db)
+    stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
+    while stmt is not None:
+        found = (await db.execute(stmt)).one_or_none()
+        if found is None:
+            break
+        if await _may_still(db, found):
+            return await _given(db, found, runner_id, found.attempt + 1)
+        message = "Whoever started it may not run it on this mission any more."
+        await end_run(db, found, EndReason.cancelled, message)
+    return None
+
+
+async def _may_still(db: Connection, row: Row[Any]) -> bool:
+    starter = await find_person(db, row.started_by_id)
+    if starter is None:
+        return False
+    needed = max(Right.create, Right(row.definition["right"]), key=lambda right: right.level)
+    levels = visible_missions(starter).with_only_columns(level_on_mission(starter), maintain_column_froms=True)
+    level: int | None = (await db.execute(levels.where(mission.c.id == row.mission_id))).scalar_one_or_none()
+    return level is not None and level >= needed.level
+
+
+async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> Claim:
+    state = RunState.preparing.value if attempt != row.attempt else row.state
+    held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
+    claimed_at = func.coalesce(run.c.claimed_at, func.now())
+    await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **held))
+    await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    definition = ActionDefinition.model_validate(row.definition)
+    inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
+    return Claim(
+        run_id=row.id,
+        attempt=attempt,
+        project_id=row.project_id,
+        mission_id=row.mission_id,
+        action=ActionRef(id=row.action_id, name=definition.name, version=row.number),
+        image=definition.image,
+        image_digest=row.pinned_digest,
+        command=definition.command,
+        script=definition.script,
+        dependencies=definition.dependencies,
+        parameters=row.parameters,
+        resources=definition.resources,
+        network=definition.network,
+        inputs=[
+            ClaimInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
+            for each in await db.execute(inputs)
+        ],
+        token=None if definition.network is Network.none else await _run_token(db, row, definition),
+        lease_s=LEASE_S,
+    )
+
+
+async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition) -> str:
+    """Make the token of a run, in place of those that it had: for its mission, and no more than its action asks for."""
+    await db.execute(update(token).where(token.c.run_id == row.id).values(revoked_at=func.now()))
+    secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
+    lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_SPARE_S)
+    values = {
+        "person_id": row.started_by_id,
+        "kind": TokenKind.run.value,
+        "name": definition.name,
+        "prefix": secret.prefix,
+        "secret_sha256": secret.sha256,
+        "scopes": [scope.value for scope in _SCOPES[definition.right]],
+        "run_id": row.id,
+        "most": definition.right.value,
+    }
+    await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
+    await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
+    return secret.text
+
+
+async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Beats) -> BeatAnswers:
+    """Note what a runner's runs are at, hold them for it, and say which are to end.
+
+    Raises:
+        NotFound: nobody of this person's is that runner.
+    """
+    seen = update(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
+    if (await db.execute(seen.values(last_seen_at=func.now()).returning(runner.c.id))).first() is None:
+        raise NotFound(noun="runner", ref=str(runner_id))
+    answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
+    return BeatAnswers(runs=answers, lease_s=LEASE_S)
+
+
+async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAnswer:
+    held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
+    gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
+    stmt = select(run, gone, action_version.c.definition["image"].astext.label("image")).join(mission).join(project)
+    stmt = stmt.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
+    row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
+    if row is None:
+        return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.gone)
+    values = _said(row, beat)
+    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + _LEASE, **values))
+    if beat.image_digest is not None and row.image is not None:
+        # What the name meant first is what it means from now on.
+        unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
+        await db.execute(update(action_version).where(unpinned).values(image_digest=beat.image_digest))
+    if values:
+        await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    is_over = row.cancel_requested_at is not None or row.is_gone
+    return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.cancel if is_over else Verdict.go_on)
+
+
+def _said(row: Row[Any], beat: Beat) -> dict[str, Any]:
+    """Return what a beat changes of a run: it never goes back."""
+    values: dict[str, Any] = {}
+    if beat.state in _ORDER and _ORDER[beat.state] > _ORDER[RunState(row.state)]:
+        values["state"] = beat.state.value
+    if beat.state is not RunState.preparing and row.started_at is None:
+        values["started_at"] = func.now()
+    if beat.image_digest is not None and row.image_digest is None:
+        values["image_digest"] = beat.image_digest
+    for name in ("progress", "usage"):
+        said = getattr(beat, name)
+        if said is not None and said.model_dump(mode="json") != getattr(row, name):
+            values[name] = said.model_dump(mode="json")
+    if beat.samples:
+        values["samples"] = thinned([*row.samples, *(each.model_dump(mode="json") for each in beat.samples)])
+    return values
+
+
+def thinned(samples: list[Any]) -> list[Any]:
+    """Return so many samples as are kept: of more, every second one, and the last."""
+    while len(samples) > MAX_SAMPLES:
+        samples = [*samples[:-1:2], samples[-1]]
+    return samples

@@ -1,0 +1,1 @@
+"""Runs: an action on a mission, from the queue to what it left."""

@@ -1,0 +1,47 @@
+"""What runs leave to time: leases that ran out, runs of missions that are gone, pieces of logs that nobody needs."""
+
+from procrastinate import JobContext
+from sqlalchemy import Row, delete, func, or_, select, text
+
+from kleinkram.server.jobs.context import site_of
+from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.runs.ending import cancel_orphans, take_back_lost
+from kleinkram.server.site import Site
+from kleinkram.server.tables import log_segment, run
+from kleinkram.server.tables.run import ACTIVE
+
+_BATCH = 500
+
+
+@queue.periodic(cron="* * * * *")
+@queue.task(name=Job.tend_runs.value, pass_context=True, queueing_lock="tend_runs", lock="tend_runs")
+async def tend_runs(context: JobContext, timestamp: int = 0) -> None:
+    """See to runs that nobody sees to."""
+    await tend_once(site_of(context))
+
+
+async def tend_once(site: Site) -> None:
+    """Do one round; what it leaves, the next one takes."""
+    async with site.database.begin() as db:
+        await take_back_lost(db)
+        await cancel_orphans(db)
+    for row in await _needless(site):
+        await site.storage.delete(row.key)
+        async with site.database.begin() as db:
+            await db.execute(delete(log_segment).where(log_segment.c.key == row.key))
+
+
+async def _needless(site: Site) -> list[Row[tuple[str]]]:
+    """Return pieces of logs that are kept whole elsewhere, of earlier attempts or runs that are gone, or never came."""
+    over = run.c.state.not_in(ACTIVE)
+    never_came = log_segment.c.kept_at.is_(None) & (log_segment.c.created_at < func.now() - text("interval '1 day'"))
+    needless = or_(
+        log_segment.c.run_id.is_(None),
+        run.c.log_blob_id.is_not(None) & over,
+        over & (log_segment.c.attempt < run.c.attempt),
+        never_came,
+    )
+    stmt = select(log_segment.c.key).outerjoin(run, run.c.id == log_segment.c.run_id)
+    due = stmt.where(log_segment.c.store_id == site.settings.store_id, needless).limit(_BATCH)
+    async with site.database.begin() as db:
+        return list((await db.execute(due)).all())

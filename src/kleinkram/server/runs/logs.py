@@ -1,0 +1,105 @@
+"""Reading what a run wrote: piece by piece, while it writes, and for good."""
+
+import time
+import uuid
+from dataclasses import dataclass
+
+from sqlalchemy import func, select
+
+from kleinkram.contract.runs import LogPiece
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import Connection
+from kleinkram.server.events.hub import Hub
+from kleinkram.server.runs import reading
+from kleinkram.server.site import Site
+from kleinkram.server.tables import blob, log_segment, run
+from kleinkram.server.tables.run import ACTIVE
+
+_PIECE_BYTES = 256 * 1024
+_LOOK_EVERY_S = 5.0
+_SOON = {"run", "run_log"}
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the bytes of a log from some offset on are: in an object, from a byte of it on."""
+
+    attempt: int
+    is_over: bool
+    size_bytes: int
+    key: str | None = None
+    begins: int = 0
+    length: int = 0
+
+
+async def read_log(site: Site, hub: Hub, actor: Actor, *, run_id: uuid.UUID, offset: int, wait_s: float) -> LogPiece:
+    """Return a piece of a log, and wait for one while the run lasts, where there is none yet.
+
+    Raises:
+        NotFound: the run is not there, or not for this actor.
+        StoreUnavailable: the store does not answer.
+    """
+    until = time.monotonic() + wait_s
+    with hub.listening(actor.person_id, after=None) as listener:
+        while True:
+            async with site.database.begin() as db:
+                place = await _find(db, actor, run_id, offset)
+            left_s = until - time.monotonic()
+            if place.length or place.is_over or left_s <= 0 or hub.is_over:
+                return await _piece(site, place, offset)
+            await hub.hear_of(listener, _SOON, at_most_s=min(left_s, _LOOK_EVERY_S))
+
+
+async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:
+    run_id = await reading.results_of(db, actor, run_id)
+    stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes)
+    joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
+    row = (await db.execute(joined)).one()
+    is_over = row.state not in ACTIVE
+    if row.key is not None:
+        left = max(0, row.size_bytes - offset)
+        return _Place(row.attempt, is_over, row.size_bytes, row.key, offset, min(left, _PIECE_BYTES))
+    shown = (
+        (log_segment.c.run_id == run_id) & (log_segment.c.attempt == row.attempt) & log_segment.c.kept_at.is_not(None)
+    )
+    ends = log_segment.c.offset_bytes + log_segment.c.size_bytes
+    size = (await db.execute(select(func.coalesce(func.max(ends), 0)).where(shown))).scalar_one()
+    holding = select(log_segment).where(shown, log_segment.c.offset_bytes <= offset, ends > offset)
+    segment = (await db.execute(holding.limit(1))).one_or_none()
+    if segment is None:
+        return _Place(row.attempt, is_over, size)
+    begins = offset - segment.offset_bytes
+    length = min(segment.size_bytes - begins, _PIECE_BYTES)
+    return _Place(row.attempt, is_over, size, segment.key, begins, length)
+
+
+async def _piece(site: Site, place: _Place, offset: int) -> LogPiece:
+    data = b""
+    if place.key is not None and place.length:
+        data = await site.storage.read_range(place.key, offset=place.begins, size_bytes=place.length)
+    is_last = offset + len(data) >= place.size_bytes
+    if not (is_last and place.is_over):
+        data = _whole_lines(data)
+    return LogPiece(
+        attempt=place.attempt,
+        offset=offset,
+        next_offset=offset + len(data),
+        text=data.decode(errors="replace"),
+        is_over=place.is_over and offset + len(data) >= place.size_bytes,
+    )
+
+
+def _whole_lines(data: bytes) -> bytes:
+    """Return data up to its last whole line; of a line that is longer, up to its last whole character."""
+    end = data.rfind(b"\n") + 1
+    if end:
+        return data[:end]
+    # A character of UTF-8 has at most four bytes, all but its first of the form 10xxxxxx.
+    for back in range(1, min(4, len(data)) + 1):
+        first = data[-back]
+        if first < 0x80:
+            return data
+        if first >= 0xC0:
+            length = 2 if first < 0xE0 else 3 if first < 0xF0 else 4
+            return data if length <= back else data[:-back]
+    return data

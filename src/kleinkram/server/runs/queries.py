@@ -1,0 +1,243 @@
+"""What is asked of runs. Functions return selects; they touch no connection."""
+
+import uuid
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, false, func, select
+
+from kleinkram.contract.actions import ActionDefinition
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.reports import Finding, Metric
+from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.runs import (
+    ActionRef,
+    ArtifactRead,
+    Cause,
+    FindingRead,
+    MetricRead,
+    RunDetail,
+    RunFilter,
+    RunInput,
+    RunRead,
+    SayingFilter,
+)
+from kleinkram.server.access.actor import Actor, ActorKind
+from kleinkram.server.access.visible import level_on_mission, visible_missions
+from kleinkram.server.pages import Order
+from kleinkram.server.search.globs import matches, matches_key
+from kleinkram.server.tables import (
+    action,
+    action_version,
+    blob,
+    mission,
+    person,
+    project,
+    run,
+    run_artifact,
+    run_finding,
+    run_input,
+    run_metric,
+    runner,
+)
+from kleinkram.server.tables.run import ACTIVE
+
+# Latest first.
+RUN_ORDER = Order([run.c.created_at, run.c.id], descending=True)
+INPUT_ORDER = Order([run_input.c.path])
+ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
+FINDING_ORDER = Order([run_finding.c.id], descending=True)
+METRIC_ORDER = Order([run_metric.c.id], descending=True)
+_PLACE = (
+    mission.c.name.label("mission_name"),
+    mission.c.project_id.label("project_id"),
+    project.c.name.label("project_name"),
+)
+_ACTION = (
+    action.c.id.label("action_id"),
+    func.coalesce(action.c.name, action_version.c.definition["name"].astext).label("action_name"),
+    action_version.c.number.label("action_number"),
+)
+
+
+def visible_runs(actor: Actor) -> Select[Any]:
+    """Return the runs on missions that `actor` may read whole, joined with missions, projects and actions.
+
+    A run by its own token sees itself alone; by a link, nobody sees any.
+    """
+    if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
+        return _joined(select(run)).where(false())
+    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    seen = _joined(select(run)).where(run.c.mission_id.in_(missions))
+    return seen if actor.run_id is None else seen.where(run.c.id == actor.run_id)
+
+
+def _joined(stmt: Select[Any]) -> Select[Any]:
+    return (
+        stmt.join(mission, mission.c.id == run.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(action_version, action_version.c.id == run.c.version_id)
+        .outerjoin(action, action.c.id == action_version.c.action_id)
+    )
+
+
+def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
+    """Return the rows that `to_run` reads, of a select that began with `visible_runs`."""
+    columns = (
+        *_PLACE,
+        *_ACTION,
+        person.c.name.label("started_by_name"),
+        runner.c.name.label("runner_name"),
+        level_on_mission(actor).label("level"),
+    )
+    named = stmt.add_columns(*columns).join(person, person.c.id == run.c.started_by_id)
+    return named.outerjoin(runner, runner.c.id == run.c.runner_id)
+
+
+def whole_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
+    """Return one visible run as `to_detail` reads it."""
+    stmt = visible_runs(actor).where(run.c.id == run_id)
+    return run_rows(actor, stmt).add_columns(action_version.c.definition)
+
+
+def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
+    """Return the runs of a select that match."""
+    conditions: list[ColumnElement[bool]] = []
+    if matching.project_id is not None:
+        conditions.append(mission.c.project_id == matching.project_id)
+    if matching.mission_id is not None:
+        conditions.append(run.c.mission_id == matching.mission_id)
+    if matching.action_id is not None:
+        conditions.append(action_version.c.action_id == matching.action_id)
+    if matching.action is not None:
+        published = matches_key(action.c.name_key, matching.action)
+        conditions.append(published | matches(action_version.c.definition["name"].astext, matching.action))
+    if matching.state:
+        conditions.append(run.c.state.in_([state.value for state in matching.state]))
+    if matching.active is not None:
+        conditions.append(run.c.state.in_(ACTIVE) == matching.active)
+    if matching.mine:
+        conditions.append(run.c.started_by_id == actor.person_id)
+    return stmt.where(*conditions)
+
+
+def to_run(actor: Actor, row: Row[Any], waits_for: str | None = None) -> RunRead:
+    """Return the run that a row of `run_rows` stands for."""
+    return RunRead(**_said(actor, row), waits_for=waits_for)
+
+
+def to_detail(actor: Actor, row: Row[Any], waits_for: str | None = None) -> RunDetail:
+    """Return the run that a row of `whole_run` stands for."""
+    return RunDetail(
+        **_said(actor, row),
+        waits_for=waits_for,
+        definition=ActionDefinition.model_validate(row.definition),
+        problems=row.problems,
+        metadata=row.proposed,
+        previews=row.previews,
+        samples=row.samples,
+    )
+
+
+def _said(actor: Actor, row: Row[Any]) -> dict[str, Any]:
+    needed = Right.create if row.started_by_id == actor.person_id else Right.delete
+    may_cancel = row.level >= needed.level and Scope.run in actor.scopes and row.state in ACTIVE
+    same = (
+        *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
+        *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
+        *("finding_counts", "reuses_id", "created_at", "claimed_at", "started_at", "ended_at", "cancel_requested_at"),
+    )
+    starter = PersonRef(id=row.started_by_id, name=row.started_by_name)
+    return {
+        **{name: getattr(row, name) for name in same},
+        "mission": _mission(row),
+        "action": _action(row),
+        "cause": Cause(person=starter, retry_of_id=row.retry_of_id),
+        "runner": row.runner_name,
+        "may_cancel": may_cancel,
+    }
+
+
+def _mission(row: Row[Any]) -> MissionRef:
+    place = ProjectRef(id=row.project_id, name=row.project_name)
+    return MissionRef(id=row.mission_id, name=row.mission_name, project=place)
+
+
+def _action(row: Row[Any]) -> ActionRef:
+    return ActionRef(id=row.action_id, name=row.action_name, version=row.action_number)
+
+
+def inputs_of(run_ids: Sequence[uuid.UUID]) -> Select[Any]:
+    """Return what runs were given."""
+    return select(run_input).where(run_input.c.run_id.in_(run_ids))
+
+
+def to_input(row: Row[Any]) -> RunInput:
+    """Return the input that a row stands for."""
+    return RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
+
+
+def artifacts_of(run_id: uuid.UUID) -> Select[Any]:
+    """Return what a run left, with what is known of the bytes."""
+    columns = (blob.c.size_bytes, blob.c.sha256, blob.c.key, blob.c.state)
+    joined = select(run_artifact, *columns).join_from(run_artifact, blob, blob.c.id == run_artifact.c.blob_id)
+    return joined.where(run_artifact.c.run_id == run_id)
+
+
+def to_artifact(row: Row[Any]) -> ArtifactRead:
+    """Return the artifact that a row of `artifacts_of` stands for."""
+    return ArtifactRead(
+        id=row.id,
+        run_id=row.run_id,
+        path=row.path,
+        size_bytes=row.size_bytes,
+        sha256=row.sha256.hex(),
+        file_id=row.file_id,
+    )
+
+
+def findings(actor: Actor, matching: SayingFilter) -> Select[Any]:
+    """Return what visible runs noticed, as `to_finding` reads it."""
+    stmt = _said_by_runs(actor, run_finding, matching)
+    if matching.severity:
+        stmt = stmt.where(run_finding.c.severity.in_([each.value for each in matching.severity]))
+    return stmt if matching.code is None else stmt.where(matches(run_finding.c.code, matching.code))
+
+
+def metrics(actor: Actor, matching: SayingFilter) -> Select[Any]:
+    """Return the numbers that visible runs found, as `to_metric` reads them."""
+    stmt = _said_by_runs(actor, run_metric, matching)
+    return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
+
+
+def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[Any]:
+    place = (run.c.mission_id, *_PLACE, *_ACTION)
+    chosen = [column.label(f"said_{column.name}") for column in table.c]
+    stmt = visible_runs(actor).with_only_columns(*chosen, *place, maintain_column_froms=True)
+    stmt = stmt.join(table, table.c.run_id == run.c.id)
+    if matching.run_id is not None:
+        stmt = stmt.where(run.c.id == matching.run_id)
+    if matching.mission_id is not None:
+        stmt = stmt.where(run.c.mission_id == matching.mission_id)
+    return stmt if matching.project_id is None else stmt.where(mission.c.project_id == matching.project_id)
+
+
+def to_finding(row: Row[Any]) -> FindingRead:
+    """Return the finding that a row of `findings` stands for."""
+    said = Finding.model_construct(
+        severity=row.said_severity,
+        code=row.said_code,
+        message=row.said_message,
+        file=row.said_file,
+        topic=row.said_topic,
+        time_ns=row.said_time_ns,
+    )
+    return FindingRead(id=row.said_id, run_id=row.said_run_id, mission=_mission(row), action=_action(row), finding=said)
+
+
+def to_metric(row: Row[Any]) -> MetricRead:
+    """Return the metric that a row of `metrics` stands for."""
+    said = Metric.model_construct(name=row.said_name, value=row.said_value, unit=row.said_unit, file=row.said_file)
+    return MetricRead(id=row.said_id, run_id=row.said_run_id, mission=_mission(row), action=_action(row), metric=said)

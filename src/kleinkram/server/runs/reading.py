@@ -1,0 +1,194 @@
+"""Reading runs, and what they said and left."""
+
+import datetime
+import uuid
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Row
+
+from kleinkram.contract.errors import FileUnavailable, NotFound
+from kleinkram.contract.files import BlobState
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.paging import Page
+from kleinkram.contract.runs import (
+    ArtifactRead,
+    ArtifactUrl,
+    FindingRead,
+    MetricRead,
+    RunDetail,
+    RunFilter,
+    RunInput,
+    RunRead,
+    RunState,
+    SayingFilter,
+)
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.db import Connection, among
+from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.runners.fitting import alive_runners, is_owners_alone, why_waiting
+from kleinkram.server.runs import queries
+from kleinkram.server.site import Site
+from kleinkram.server.tables import run, run_artifact
+
+_UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+
+
+async def list_runs(db: Connection, actor: Actor, *, matching: RunFilter, page: PageRequest) -> Page[RunRead]:
+    """Return a page of the runs that match, latest first.
+
+    Raises:
+        InvalidCursor: the cursor is not of this list.
+    """
+    found = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
+    rows = await fetch_page(db, found, queries.RUN_ORDER, page)
+    waiting = await _waiting(db, rows.items)
+    items = [queries.to_run(actor, row, waiting.get(row.id)) for row in rows.items]
+    return Page(items=items, next=rows.next, total=rows.total)
+
+
+async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunRead:
+    """Return one run.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await run_row(db, actor, run_id)
+    return queries.to_run(actor, row, (await _waiting(db, [row])).get(row.id))
+
+
+async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDetail:
+    """Return one run with all that fits one answer.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await run_row(db, actor, run_id)
+    return queries.to_detail(actor, row, (await _waiting(db, [row])).get(row.id))
+
+
+async def run_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> Row[Any]:
+    """Return the row of a run, as `queries.whole_run` selects it.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = (await db.execute(queries.whole_run(actor, run_id))).one_or_none()
+    if row is None:
+        raise NotFound(noun="run", ref=str(run_id))
+    return row
+
+
+async def _waiting(db: Connection, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, str]:
+    queued = [row for row in rows if row.state == RunState.queued.value]
+    if not queued:
+        return {}
+    runners, alone = await alive_runners(db), await is_owners_alone(db)
+    return {row.id: why_waiting(row, runners, owners_alone=alone) for row in queued}
+
+
+async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UUID:
+    """Return the run whose results stand for a run: itself, or the earlier one that it reuses.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+    """
+    row = await run_row(db, actor, run_id)
+    found: uuid.UUID = row.reuses_id or row.id
+    return found
+
+
+async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[RunInput]:
+    """Return a page of what a run was given, by path.
+
+    Raises:
+        NotFound: the run is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    await run_row(db, actor, run_id)
+    rows = await fetch_page(db, queries.inputs_of([run_id]), queries.INPUT_ORDER, page)
+    return Page(items=[queries.to_input(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[ArtifactRead]:
+    """Return a page of what a run left, by path.
+
+    Raises:
+        NotFound: the run is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    stmt = queries.artifacts_of(await results_of(db, actor, run_id))
+    rows = await fetch_page(db, stmt, queries.ARTIFACT_ORDER, page)
+    return Page(items=[queries.to_artifact(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def link_artifacts(
+    site: Site, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
+) -> list[ArtifactUrl]:
+    """Return where to read artifacts, in the order asked, and note who fetched them.
+
+    Raises:
+        NotFound: one of them is not there, or not for this actor.
+        FileUnavailable: the store's copy of one is lost or corrupt.
+    """
+    async with site.database.begin() as db:
+        held = await run_row(db, actor, run_id)
+        stmt = queries.artifacts_of(held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
+        found = {row.id: row for row in await db.execute(stmt)}
+        for each in artifact_ids:
+            if each not in found:
+                raise NotFound(noun="artifact", ref=str(each))
+            if found[each].state in _UNREADABLE:
+                raise FileUnavailable(path=found[each].path, state=found[each].state)
+        after: Metadata = {"files": len(found)}
+        name, project_id = held.action_name, held.project_id
+        fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=held.mission_id)
+        await record(db, actor, fetched)
+    expires_s = site.settings.download_url_s
+    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
+    return [
+        ArtifactUrl(
+            artifact=queries.to_artifact(found[each]),
+            url=site.storage.sign_read(found[each].key, path=found[each].path, expires_s=expires_s),
+            expires_at=expires_at,
+        )
+        for each in artifact_ids
+    ]
+
+
+async def list_findings(
+    db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest
+) -> Page[FindingRead]:
+    """Return a page of what runs noticed, latest first.
+
+    Raises:
+        NotFound: a run is named that is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    stmt = queries.findings(actor, await _of_results(db, actor, matching))
+    rows = await fetch_page(db, stmt, queries.FINDING_ORDER, page)
+    return Page(items=[queries.to_finding(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def list_metrics(db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest) -> Page[MetricRead]:
+    """Return a page of the numbers that runs found, latest first.
+
+    Raises:
+        NotFound: a run is named that is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    stmt = queries.metrics(actor, await _of_results(db, actor, matching))
+    rows = await fetch_page(db, stmt, queries.METRIC_ORDER, page)
+    return Page(items=[queries.to_metric(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def _of_results(db: Connection, actor: Actor, matching: SayingFilter) -> SayingFilter:
+    if matching.run_id is None:
+        return matching
+    return matching.model_copy(update={"run_id": await results_of(db, actor, matching.run_id)})
+
+
+async def lock_run(db: Connection, run_id: uuid.UUID) -> None:
+    """Hold others off changing a run until this transaction ends."""
+    await db.execute(run.select().where(run.c.id == run_id).with_for_update(key_share=True))

@@ -1,0 +1,172 @@
+"""Runs over HTTP."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
+
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.runs import (
+    ArtifactRead,
+    ArtifactUrl,
+    FindingRead,
+    LineageRead,
+    LogPiece,
+    MetricRead,
+    RunDetail,
+    RunFilter,
+    RunInput,
+    RunRead,
+    RunsCreate,
+    RunsMade,
+    SayingFilter,
+)
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
+from kleinkram.server.pages import PageRequest
+from kleinkram.server.runs import ending, launching, lineage, logs, reading
+
+router = APIRouter(prefix="/api/v1", tags=["runs"])
+_MOST_ARTIFACTS = 1000
+
+
+class RunListQuery(RunFilter):
+    """The query of a list of runs."""
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+    count: bool = False
+
+
+class SayingListQuery(SayingFilter):
+    """The query of a list of findings or metrics."""
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+    count: bool = False
+
+
+class LogQuery(BaseModel):
+    """Which piece of a log: from which byte on, and how long to wait for it while the run lasts."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    offset: Annotated[int, Field(ge=0, lt=2**40)] = 0
+    wait_s: Annotated[float, Field(ge=0, le=25)] = 0
+
+
+class ArtifactsWanted(BaseModel):
+    """Artifacts of one run to be fetched."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=_MOST_ARTIFACTS)]
+
+
+class ArtifactUrls(BaseModel):
+    """Where to read them, in the order asked."""
+
+    model_config = ConfigDict(frozen=True)
+
+    items: list[ArtifactUrl]
+
+
+@router.post("/runs", operation_id="create_runs", status_code=201)
+async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsMade:
+    """Run an action on each of some missions; says for each mission whether there is a run."""
+    return await launching.launch(db, actor, wanted=wanted)
+
+
+@router.get("/runs", operation_id="list_runs")
+async def list_runs(query: Annotated[RunListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[RunRead]:
+    """List the runs that match, latest first."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await reading.list_runs(db, actor, matching=query, page=page)
+
+
+@router.get("/runs/{run_id}", operation_id="get_run")
+async def get_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunDetail:
+    """Get a run with all that fits one answer."""
+    return await reading.get_detail(db, actor, run_id)
+
+
+@router.post("/runs/{run_id}/cancel", operation_id="cancel_run")
+async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunRead:
+    """Cancel a run; one that a runner has ends within seconds."""
+    return await ending.cancel_run(db, actor, run_id=run_id)
+
+
+@router.post("/runs/{run_id}/retry", operation_id="retry_run", status_code=201)
+async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> RunRead:
+    """Run the same once more, on the files as they are now; with `force` though a good run of it is there."""
+    return await ending.retry_run(db, actor, run_id=run_id, force=force)
+
+
+@router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")
+async def list_run_inputs(
+    run_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: Annotated[PageSize, Query()] = 100,
+    cursor: Cursor | None = None,
+) -> Page[RunInput]:
+    """List what a run was given, by path."""
+    return await reading.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+
+
+@router.get("/runs/{run_id}/artifacts", operation_id="list_artifacts")
+async def list_artifacts(
+    run_id: uuid.UUID,
+    db: Transaction,
+    actor: CurrentActor,
+    limit: Annotated[PageSize, Query()] = 100,
+    cursor: Cursor | None = None,
+) -> Page[ArtifactRead]:
+    """List what a run left, by path."""
+    return await reading.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+
+
+@router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
+async def download_artifacts(
+    run_id: uuid.UUID, wanted: ArtifactsWanted, site: CurrentSite, actor: CurrentActor
+) -> ArtifactUrls:
+    """Return where to read artifacts; who asked is noted."""
+    items = await reading.link_artifacts(site, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
+    return ArtifactUrls(items=items)
+
+
+@router.get("/runs/{run_id}/log", operation_id="get_run_log")
+async def get_run_log(
+    run_id: uuid.UUID,
+    query: Annotated[LogQuery, Query()],
+    request: Request,
+    site: CurrentSite,
+    actor: CurrentActor,
+) -> LogPiece:
+    """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
+    hub = request.app.state.hub
+    return await logs.read_log(site, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
+
+
+@router.get("/findings", operation_id="list_findings")
+async def list_findings(
+    query: Annotated[SayingListQuery, Query()], db: Transaction, actor: CurrentActor
+) -> Page[FindingRead]:
+    """List what runs noticed, latest first."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await reading.list_findings(db, actor, matching=query, page=page)
+
+
+@router.get("/run-metrics", operation_id="list_run_metrics")
+async def list_run_metrics(
+    query: Annotated[SayingListQuery, Query()], db: Transaction, actor: CurrentActor
+) -> Page[MetricRead]:
+    """List the numbers that runs found, latest first."""
+    page = PageRequest(query.limit, query.cursor, query.count)
+    return await reading.list_metrics(db, actor, matching=query, page=page)
+
+
+@router.get("/files/{file_id}/lineage", operation_id="get_lineage")
+async def get_lineage(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> LineageRead:
+    """Say which run made a file, and which runs read it, with what came of that."""
+    return await lineage.get_lineage(db, actor, file_id=file_id)
