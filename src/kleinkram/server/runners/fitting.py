@@ -65,5 +65,8 @@ def why_waiting(run: Row[Any], runners: Collection[Row[Any]], *, owners_alone: b
     able = [name for name, reason in reasons.items() if reason is None]
     if able:
         return f"It waits for {' or '.join(sorted(able)[:3])} to have enough free."
-    told = "; ".join(f"{name}: {reason}" for name, reason in sorted(reasons.items())[:3])
+    # Those that are called as it asks for first: what they lack is what can be mended.
+    lacking = {each.name for each in runners if set(run.labels) - set(each.labels)}
+    ordered = sorted(reasons.items(), key=lambda each: (each[0] in lacking, each[0]))
+    told = "; ".join(f"{name}: {reason}" for name, reason in ordered[:3])
     return f"No runner that is there can do it ({told})."

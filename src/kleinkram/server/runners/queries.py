@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import Row, Select, func, literal, or_, select
+from sqlalchemy import ARRAY, Row, Select, Text, func, literal, or_, select
 
 from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, Isolation, RunnerRead
 from kleinkram.server.access.actor import Actor
@@ -80,7 +80,7 @@ def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[An
         & (run.c.memory_bytes <= free.memory_bytes)
         & (run.c.disk_bytes <= free.disk_bytes)
         & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
-        & run.c.labels.contained_by(row.labels)
+        & run.c.labels.op("<@", is_comparison=True)(literal(row.labels, ARRAY(Text)))
         & run.c.network.in_([network.value for network in abilities.networks])
         & or_(~run.c.needs_images, literal(abilities.images))
     )

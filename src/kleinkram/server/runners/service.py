@@ -110,10 +110,10 @@ async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: 
     row = (await db.execute(seen.values(last_seen_at=func.now()).returning(runner))).one_or_none()
     if row is None:
         raise NotFound(noun="runner", ref=str(runner_id))
+    await take_back_lost(db)
     unheard = (await db.execute(queries.unheard_claim(runner_id, asked.held))).one_or_none()
     if unheard is not None:
         return await _given(db, unheard, runner_id, unheard.attempt)
-    await take_back_lost(db)
     stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
     while stmt is not None:
         found = (await db.execute(stmt)).one_or_none()
@@ -203,8 +203,9 @@ async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said
 async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAnswer:
     held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
-    stmt = select(run, gone, action_version.c.definition["image"].astext.label("image")).join(mission).join(project)
-    stmt = stmt.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
+    image = action_version.c.definition["image"].astext.label("image")
+    joined = select(run, gone, image).join_from(run, mission, mission.c.id == run.c.mission_id).join(project)
+    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
     row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
     if row is None:
         return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.gone)

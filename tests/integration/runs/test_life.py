@@ -1,0 +1,181 @@
+"""A run's life, from the queue to what it left."""
+
+import uuid
+
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.uploading import fetch, sha256
+
+
+def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    assert (made["state"], made["input_count"], made["may_cancel"]) == ("queued", 2, True)
+    claim = runner.claim()
+    assert claim["run_id"] == made["id"]
+    assert {each["path"]: each["sha256"] for each in claim["inputs"]} == {
+        path: file["sha256"] for path, file in place.files.items()
+    }
+    assert runner.claim() is None, "it was given once"
+    assert (
+        runner.beat(claim, "running", progress={"fraction": 0.5, "message": "half"}, image_digest="sha256:1") == "go_on"
+    )
+    seen = lab.get(f"/runs/{made['id']}").ok()
+    assert (seen["state"], seen["progress"]["message"], seen["attempt"]) == ("running", "half", 1)
+    runner.write(claim, 0, b"one\n")
+    runner.write(claim, 4, b"two\n")
+    assert lab.get(f"/runs/{made['id']}/log").ok()["text"] == "one\n"
+    runner.leave(claim, "figures/track.txt", b"a track")
+    runner.leave(claim, ".kleinkram/log", b"one\ntwo\n")
+    report = {
+        "findings": [{"severity": "warning", "code": "imu.gap", "message": "a gap", "file": "drive.bin"}],
+        "metrics": [{"name": "ate_rmse", "value": 0.12, "unit": "m"}],
+        "metadata": {"distance_m": 12.5},
+        "previews": [{"path": "figures/track.txt", "title": "Track"}, {"path": "not there"}],
+    }
+    assert runner.finish(claim, report=report).ok() == {"state": "done"}
+    assert runner.finish(claim, report=report).ok() == {"state": "done"}, "said again"
+    seen = lab.get(f"/runs/{made['id']}").ok()
+    assert (seen["state"], seen["reason"], seen["artifact_count"], seen["metric_count"]) == ("done", "done", 1, 1)
+    assert (seen["finding_counts"], seen["metadata"]) == ({"warning": 1}, {"distance_m": 12.5})
+    assert [each["path"] for each in seen["previews"]] == ["figures/track.txt"]
+    (metric,) = lab.all("/run-metrics", {"run_id": made["id"]})
+    assert (metric["metric"]["value"], metric["metric"]["unit"]) == (0.12, "m")
+    (finding,) = lab.all("/findings", {"mission_id": place.mission["id"], "code": "imu.*"})
+    assert finding["finding"]["file"] == "drive.bin"
+    (artifact,) = lab.all(f"/runs/{made['id']}/artifacts")
+    wanted = {"artifact_ids": [artifact["id"]]}
+    (link,) = lab.post(f"/runs/{made['id']}/artifacts/download", wanted).ok()["items"]
+    assert fetch(link["url"])[1] == b"a track"
+    log = lab.get(f"/runs/{made['id']}/log", {"offset": "4"}).ok()
+    assert (log["text"], log["is_over"]) == ("two\n", True)
+
+
+def test_an_answer_that_was_lost_is_given_again(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    first = runner.claim()
+    runner.held.clear()
+    again = runner.claim()
+    assert (again["run_id"], again["attempt"]) == (made["id"], first["attempt"])
+
+
+def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Place) -> None:
+    """It goes to another one; what the first still says of it is refused, and nothing of its attempt stays."""
+    made = launch(lab, runner, place.mission)
+    first = runner.claim()
+    runner.leave(first, "half", b"half a result")
+    _let_lapse(lab, made["id"])
+    other = Played(runner.api, labels=runner.labels)
+    other.hello()
+    second = other.claim()
+    assert (second["run_id"], second["attempt"]) == (made["id"], 2)
+    assert runner.beat(first) == "gone"
+    runner.finish(first).refused(409, "run_gone")
+    assert lab.all(f"/runs/{made['id']}/artifacts") == []
+    other.finish(second).ok()
+    assert lab.get(f"/runs/{made['id']}").ok()["state"] == "done"
+
+
+def test_a_run_that_loses_runner_after_runner_fails_with_the_reason(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    for attempt in (1, 2, 3):
+        runner.held.clear()
+        assert runner.claim()["attempt"] == attempt
+        _let_lapse(lab, made["id"])
+    runner.held.clear()
+    assert runner.claim() is None
+    seen = lab.get(f"/runs/{made['id']}").ok()
+    assert (seen["state"], seen["reason"]) == ("failed", "lost")
+    assert "3 times" in seen["message"]
+
+
+def _let_lapse(lab: Api, run_id: str) -> None:
+    lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
+
+
+def test_what_is_put_back_is_a_file_with_its_lineage(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission, right="CREATE")
+    claim = runner.claim()
+    runner.leave(claim, "clean.bin", b"cleaned")
+    runner.leave(claim, "second.bin", b"other")
+    put_back = [
+        {"path": "clean.bin", "to": "clean/drive.bin", "made_from": ["drive.bin"]},
+        {"path": "second.bin", "to": "drive.bin"},
+    ]
+    runner.finish(claim, report={"put_back": put_back}).ok()
+    files = {each["path"]: each for each in lab.all("/files", {"mission_id": place.mission["id"]})}
+    assert files["clean/drive.bin"]["origin"] == "run"
+    assert files["clean/drive.bin"]["sha256"] == sha256(b"cleaned")
+    (problem,) = lab.get(f"/runs/{made['id']}").ok()["problems"]
+    assert problem.startswith("second.bin was not put back")
+    assert files["drive.bin"]["sha256"] == place.files["drive.bin"]["sha256"], "nothing was replaced"
+    origin = lab.get(f"/files/{files['clean/drive.bin']['id']}/lineage").ok()["made_by"]
+    assert origin["run"]["id"] == made["id"]
+    assert [each["path"] for each in origin["inputs"]] == ["drive.bin"]
+    (reader,) = lab.get(f"/files/{files['drive.bin']['id']}/lineage").ok()["read_by"]
+    assert [each["path"] for each in reader["files"]] == ["clean/drive.bin"]
+
+
+def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    claim = runner.claim()
+    runner.leave(claim, "clean.bin", b"cleaned")
+    runner.finish(claim, report={"put_back": [{"path": "clean.bin", "to": "clean.bin"}]}).ok()
+    assert len(lab.all("/files", {"mission_id": place.mission["id"]})) == 2
+    assert "right: CREATE" in lab.get(f"/runs/{made['id']}").ok()["problems"][0]
+
+
+def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Played, place: Place) -> None:
+    first = launch(lab, runner, place.mission)
+    claim = runner.claim()
+    runner.beat(claim, image_digest="sha256:stock")
+    runner.leave(claim, "made", b"made")
+    runner.finish(claim).ok()
+    second = launch(lab, runner, place.mission, force=False)
+    assert (second["state"], second["reuses_id"]) == ("done", first["id"])
+    assert [each["path"] for each in lab.all(f"/runs/{second['id']}/artifacts")] == ["made"]
+    changed = {"parameters": [{"name": "rate", "type": "number", "default": 1.0}]}
+    assert launch(lab, runner, place.mission, force=False, **changed)["state"] == "queued"
+    assert launch(lab, runner, place.mission, force=True)["state"] == "queued"
+
+
+def test_cancelling(lab: Api, runner: Played, place: Place) -> None:
+    queued = launch(lab, runner, place.mission)
+    assert lab.post(f"/runs/{queued['id']}/cancel").ok()["state"] == "cancelled"
+    assert runner.claim() is None
+    held = launch(lab, runner, place.mission)
+    claim = runner.claim()
+    assert lab.post(f"/runs/{held['id']}/cancel").ok()["cancel_requested_at"] is not None
+    assert runner.beat(claim) == "cancel"
+    assert runner.finish(claim, "cancelled").ok() == {"state": "cancelled"}
+    assert lab.post(f"/runs/{held['id']}/cancel").ok()["state"] == "cancelled", "said again"
+
+
+def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    launch(lab, runner, place.mission)
+    lab.delete(f"/missions/{place.mission['id']}").ok()
+    assert runner.beat(claim) == "cancel"
+    assert runner.claim() is None, "what waits is not begun"
+    runner.finish(claim, "cancelled").ok()
+
+
+def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
+    action = {"name": "bags", "script": "x", "inputs": {"paths": ["*.bag"]}}
+    (refused,) = lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": action}).ok(201)["items"]
+    assert refused["outcome"] == "refused"
+    assert refused["problem"]["code"] == "no_inputs"
+    assert "*.bag" in refused["problem"]["detail"]
+
+
+def test_why_a_run_waits_is_said(lab: Api, runner: Played, place: Place) -> None:
+    waits = launch(lab, runner, place.mission, resources={"cores": 64})["waits_for"]
+    assert "it has 4 cores and 64 are asked for" in waits
+    assert "enough free" in launch(lab, runner, place.mission)["waits_for"]
+
+
+def test_what_a_runner_has_free_is_kept_to(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission, resources={"cores": 3, "memory": "8GB"})
+    assert runner.claim(cores=2) is None
+    assert runner.claim(memory_bytes=7 * 10**9) is None
+    assert runner.claim(cores=3) is not None
