@@ -54,10 +54,10 @@ def _text(value: object) -> str:
 class Api:
     """A connection to one server's API."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
         self.endpoint = endpoint
         self._base = f"{endpoint.url}/api/v1"
-        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
+        timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
         self._pool = urllib3.PoolManager(maxsize=8, retries=False, timeout=timeout)
 
     def close(self) -> None:
@@ -120,6 +120,17 @@ class Api:
         """POST something that may be said twice (asking for links, signing), for as long as patience lasts."""
         answer = self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
         return self.understood(kind, f"POST {path}", answer)
+
+    def tell(
+        self,
+        path: str,
+        body: BaseModel,
+        *,
+        patience_s: float = PATIENCE_S,
+        wait: Callable[[float], object] | None = None,
+    ) -> None:
+        """POST something that may be said twice and has no answer."""
+        self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
 
     def patch(self, path: str, kind: type[T], body: BaseModel) -> T:
         """Change a noun: only the fields that were set in `body` travel."""

@@ -1,7 +1,6 @@
 """An action on this machine, for who is writing it: the very same `/in` and `/out` as on a server's runner."""
 
 import shutil
-import sys
 import tempfile
 import threading
 import uuid
@@ -16,13 +15,11 @@ from kleinkram.client.transfer import Watcher, download, plan_download
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
-from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, EndReason, RunContext
+from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
+from kleinkram.runner.given import check_place, script_command, write_given
 from kleinkram.runner.results import Results, collect
 from kleinkram.runner.work import CannotStart, Ending, Executor, Work
 
-_SCRIPT = ".kleinkram/script.py"
-# What a runner itself puts into `/in`.
-_OWN = {CONTEXT_FILE, ".kleinkram"}
 _LOOK_EVERY_S = 0.05
 
 
@@ -65,11 +62,11 @@ def run_locally(
         files = matching_files(client, action, mission)
         if not files:
             raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
-        if taken := next((file.path for file in files if file.path.partition("/")[0] in _OWN), None):
-            raise InvalidInput(what=f"The file {taken}", reason="stands where a run finds what it is told; rename it")
+        for file in files:
+            _check_place(file)
         _fetch(client, files, folder / "in", watcher)
         context = make_context(client, action, mission, files, parameters)
-        _write_context(folder / "in", context, action)
+        write_given(folder / "in", context, action.script)
         ending = _run(executor, make_work(action, folder), show)
         results = collect(folder / "out")
         for artifact in results.artifacts:
@@ -114,10 +111,16 @@ def make_work(action: ActionDefinition, folder: Path) -> Work:
     """Return what an executor is told of an action, a script's command included."""
     command = list(action.command)
     if action.script is not None:
-        python = sys.executable if action.image is None else "python3"
-        command = [python, "-m", "kleinkram.action.launch", f"/in/{_SCRIPT}", *action.dependencies]
+        command = script_command(action.dependencies, in_image=action.image is not None)
     key = f"local-{uuid.uuid4().hex[:12]}"
     return Work(key, folder, command, action.image, action.resources, action.network)
+
+
+def _check_place(file: FileRead) -> None:
+    try:
+        check_place(file.path)
+    except ValueError as error:
+        raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
 
 
 def _fetch(client: Client, files: list[FileRead], folder: Path, watcher: Watcher) -> None:
@@ -127,14 +130,6 @@ def _fetch(client: Client, files: list[FileRead], folder: Path, watcher: Watcher
         raise failure
     for path in folder.rglob("*"):
         path.chmod(0o755 if path.is_dir() else 0o444)
-
-
-def _write_context(folder: Path, context: RunContext, action: ActionDefinition) -> None:
-    (folder / CONTEXT_FILE).write_text(context.model_dump_json(indent=1))
-    if action.script is not None:
-        path = folder / _SCRIPT
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(action.script)
 
 
 def _run(executor: Executor, work: Work, show: Callable[[bytes], None]) -> Ending:

@@ -24,6 +24,7 @@ from kleinkram.contract.reports import (
     Metric,
     Report,
 )
+from kleinkram.runner.disk import open_inside
 
 MAX_ARTIFACTS = 100_000
 _MOST_PROBLEMS = 100
@@ -61,10 +62,10 @@ def collect(out: Path) -> Results:
         del artifacts[MAX_ARTIFACTS:]
     report, broken = Report(), None
     try:
-        report = _report(out / REPORT_FILE)
+        report = _report(out)
     except _Unreadable as error:
         broken = str(error)
-    report = _together(_events(out / EVENTS_FILE, problems), report, problems)
+    report = _together(_events(out, problems), report, problems)
     report = _only_artifacts(report, {artifact.path for artifact in artifacts}, problems)
     if len(problems) > _MOST_PROBLEMS:
         problems = [*problems[:_MOST_PROBLEMS], f"And {len(problems) - _MOST_PROBLEMS} more."]
@@ -105,40 +106,38 @@ def _artifacts(out: Path, problems: list[str]) -> Iterator[Artifact]:
                 problems.append(f"The name {path!r} {error}: left out.")
 
 
-def _read(path: Path, most_bytes: int) -> bytes | None:
-    """Return what a file holds, or None where there is none; links are not followed.
+def _read(out: Path, name: str, most_bytes: int) -> bytes | None:
+    """Return what a file below `out` holds, or None where there is none; links are not followed.
 
     Raises:
         _Unreadable: it is something else, or too large.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
+        stream = open_inside(out, name)
     except OSError as error:
-        raise _Unreadable(f"{path.name} cannot be read: {error.strerror}.") from error
-    with os.fdopen(descriptor, "rb") as stream:
-        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-            raise _Unreadable(f"{path.name} is no regular file.")
+        raise _Unreadable(f"{name} cannot be read: {error.strerror or error}.") from error
+    if stream is None:
+        return None
+    with stream:
         data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
-        raise _Unreadable(f"{path.name} has more than {most_bytes} bytes.")
+        raise _Unreadable(f"{name} has more than {most_bytes} bytes.")
     return data
 
 
-def _report(path: Path) -> Report:
-    data = _read(path, MAX_REPORT_BYTES)
+def _report(out: Path) -> Report:
+    data = _read(out, REPORT_FILE, MAX_REPORT_BYTES)
     if data is None:
         return Report()
     try:
         return Report.model_validate_json(data)
     except ValidationError as error:
-        raise _Unreadable(f"{path.name} is not a report: {_first(error)}.") from error
+        raise _Unreadable(f"{REPORT_FILE} is not a report: {_first(error)}.") from error
 
 
-def _events(path: Path, problems: list[str]) -> list[Event]:
+def _events(out: Path, problems: list[str]) -> list[Event]:
     try:
-        data = _read(path, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
+        data = _read(out, EVENTS_FILE, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
     except _Unreadable as error:
         problems.append(str(error))
         return []

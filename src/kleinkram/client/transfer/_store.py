@@ -80,7 +80,9 @@ class StoreDoor:
         """Close the connections."""
         self._pool.clear()
 
-    def put(self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[FileSlice | bytes]) -> PutAnswer:
+    def put(
+        self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[FileSlice | bytes]
+    ) -> PutAnswer:
         """PUT so many bytes, sent as they come from `body`."""
         headers = {**headers, "Content-Length": str(size_bytes)}
         try:

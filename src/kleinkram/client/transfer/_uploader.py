@@ -8,6 +8,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
 from kleinkram.client.transfer._flow import Stop, Stopped
@@ -73,7 +74,10 @@ class Candidate:
 
 
 class Uploader:
-    """One run of an upload into one mission. `ended` is called once a file, with its end; from any thread."""
+    """One run of an upload into one mission. `ended` is called once a file, with its end; from any thread.
+
+    `journals` is where its journals are; by default, where this user's are.
+    """
 
     def __init__(
         self,
@@ -84,11 +88,13 @@ class Uploader:
         pace: Pace,
         watcher: Watcher,
         ended: Callable[[TransferResult], None],
+        journals: Path | None = None,
     ) -> None:
         self._stop = Stop()
         self._uploads = uploads.with_patience(PATIENCE_S, self._stop.wait)
         self._server = server
         self._mission_id = mission_id
+        self._journals = journals
         self._watcher = watcher
         self._ended = ended
         self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)
@@ -146,7 +152,7 @@ class Uploader:
         journal: Journal | None = None
         source: Source | None = None
         try:
-            journal = open_journal(self._server, self._mission_id, file)
+            journal = open_journal(self._server, self._mission_id, file, folder=self._journals)
             source = Source(file)
             candidate = Candidate(source, journal)
             self._drop_other_size(candidate)

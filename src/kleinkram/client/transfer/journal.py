@@ -100,14 +100,16 @@ class Journal:
             os.fdatasync(self._handle)
 
 
-def open_journal(server: str, mission_id: uuid.UUID, file: LocalFile) -> Journal:
+def open_journal(server: str, mission_id: uuid.UUID, file: LocalFile, *, folder: Path | None = None) -> Journal:
     """Open the journal of uploading one file to one place, making it where there is none.
+
+    It is in `folder`, if not where this user's are.
 
     Raises:
         UploadElsewhere: another process of this machine holds it.
     """
     key = hashlib.sha256(json.dumps([server, str(mission_id), file.path]).encode()).hexdigest()[:32]
-    path = journals_dir() / f"{key}.jsonl"
+    path = (folder or journals_dir()) / f"{key}.jsonl"
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)

@@ -1,0 +1,110 @@
+"""Runners that speak with a stand-in for the server: in this process, or as one that can be killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from kleinkram.runner.__main__ import Arguments
+from kleinkram.runner.choosing import ExecutorChoice
+from kleinkram.runner.home import Home
+from kleinkram.runner.machine import Share
+from kleinkram.runner.process.executor import ProcessExecutor
+from kleinkram.runner.runner import Runner, RunnerOptions
+from kleinkram.runner.token import TOKEN_VARIABLE
+from kleinkram.runner.work import Executor
+from tests.integration.runner_loop.fake_server import RUNNER_TOKEN, FakeRun, FakeServer
+
+_SHARE = Share(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
+
+
+def wait_until(condition: Callable[[], object], *, timeout_s: float = 20) -> None:
+    """Wait for a condition; a test that waits in vain fails here."""
+    until = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < until, "the condition did not come true in time"
+        time.sleep(0.02)
+
+
+@dataclass
+class Runners:
+    """The runners of one test, on one folder, one after the other."""
+
+    server: FakeServer
+    folder: Path
+    _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
+    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def start(self, executor: Executor | None = None, share: Share = _SHARE) -> Runner:
+        """Start a runner in this process."""
+        self.folder.mkdir(exist_ok=True)
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, self.folder, "a-runner", share=share)
+        runner = Runner(options, Home(self.folder), executor or ProcessExecutor())
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        self._threads.append((runner, thread))
+        return runner
+
+    def spawn(self) -> subprocess.Popen[bytes]:
+        """Start a runner as a process."""
+        arguments = Arguments(
+            url=self.server.url,
+            data_dir=self.folder,
+            name="a-runner",
+            cores=2,
+            memory_bytes=10**9,
+            disk_bytes=10**9,
+            cache_bytes=10**9,
+            executor=ExecutorChoice.process,
+        )
+        process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
+        self._processes.append(process)
+        return process
+
+    def kill(self, process: subprocess.Popen[bytes], sign: signal.Signals = signal.SIGKILL) -> None:
+        """End a runner's process."""
+        process.send_signal(sign)
+        process.wait(timeout=10)
+
+    def close(self) -> None:
+        """End what is left, runs included."""
+        for runner, _ in self._threads:
+            runner.stop()
+        self.server.is_silent.set()
+        self.server.wake()
+        for runner, thread in self._threads:
+            thread.join(10)
+            runner.leave(kill=True)
+        for process in self._processes:
+            if process.poll() is None:
+                self.kill(process, signal.SIGINT)
+
+
+@pytest.fixture
+def server() -> Iterator[FakeServer]:
+    """A server that knows of no runs yet."""
+    made = FakeServer()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def runners(server: FakeServer, tmp_path: Path) -> Iterator[Runners]:
+    """Runners of this server."""
+    made = Runners(server, tmp_path / "runner")
+    yield made
+    made.close()
+
+
+def ended(run: FakeRun, *, timeout_s: float = 30) -> FakeRun:
+    """Wait until a run's end was told."""
+    wait_until(lambda: run.finishes, timeout_s=timeout_s)
+    return run

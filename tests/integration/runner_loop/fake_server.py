@@ -1,0 +1,420 @@
+"""A stand-in for the server and its store, as far as a runner speaks with them: in this process, by real HTTP.
+
+It does what tests tell it to, at once: cancels, forgets a runner's run, falls silent, gives wrong bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import threading
+import time
+import uuid
+from collections import Counter
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from pydantic import BaseModel
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.errors import KleinkramError, NotFound, RunGone, to_problem
+from kleinkram.contract.runners import (
+    LEASE_S,
+    ArtifactsBegin,
+    BeatAnswer,
+    BeatAnswers,
+    Beats,
+    Claim,
+    ClaimAsk,
+    Claimed,
+    ClaimInput,
+    InputsAsk,
+    InputUrls,
+    RunFinish,
+    RunFinished,
+    RunnerHello,
+    RunnerRead,
+    SegmentAsk,
+    SegmentKept,
+    SegmentPut,
+    Verdict,
+)
+from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext, RunState
+from kleinkram.contract.uploads import (
+    ChecksumKind,
+    Completed,
+    HeldPart,
+    PartsSign,
+    Present,
+    Send,
+    SignedPart,
+    SignedParts,
+    UploadDecision,
+    UploadDecisions,
+    UploadOutcomes,
+    UploadRead,
+    UploadsComplete,
+    UploadState,
+    part_size_bytes,
+)
+from tests.integration.runner_loop.context import LATER, a_mission
+
+RUNNER_TOKEN = "klein_runner_" + "r" * 43 + "012345"
+
+
+@dataclass
+class FakeRun:
+    """A run on the server: what it is given, what its runner said and left."""
+
+    claim: Claim
+    inputs: dict[str, bytes]
+    state: RunState = RunState.queued
+    runner_id: uuid.UUID | None = None
+    attempt: int = 0
+    is_cancelled: bool = False
+    finishes: list[RunFinish] = field(default_factory=list)
+    artifacts: dict[str, bytes] = field(default_factory=dict)
+    segments: list[tuple[int, bytes]] = field(default_factory=list)
+    states: list[RunState] = field(default_factory=list)
+    progress: list[float] = field(default_factory=list)
+
+    @property
+    def shown_log(self) -> bytes:
+        """The log as people saw it while the run lasted; pieces follow each other without gap."""
+        shown = b""
+        for offset, piece in self.segments:
+            assert offset == len(shown), "a piece of the log is missing or there twice"
+            shown += piece
+        return shown
+
+
+class FakeServer:
+    """The server. Its fields may be changed by tests at any time."""
+
+    def __init__(self) -> None:
+        self.runs: dict[uuid.UUID, FakeRun] = {}
+        self.hellos: list[RunnerHello] = []
+        self.requests: Counter[str] = Counter()
+        self.asked: list[ClaimAsk] = []
+        self.lease_s: float = LEASE_S
+        self.is_silent = threading.Event()
+        self.spoilt: dict[str, bytes] = {}
+        self.slow_bytes_per_s: float | None = None
+        self.holds_uploads = threading.Event()
+        self.store_refuses = threading.Event()
+        self._objects: dict[str, bytes] = {}
+        self._uploads: dict[uuid.UUID, tuple[FakeRun, str, int]] = {}
+        self._changed = threading.Condition()
+        server = self
+
+        class Handler(_Handler):
+            fake = server
+
+        self._http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._http.daemon_threads = True
+        self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where API and store answer."""
+        return f"http://127.0.0.1:{self._http.server_port}"
+
+    def close(self) -> None:
+        """End it."""
+        self._http.shutdown()
+        self._http.server_close()
+        self._thread.join()
+
+    def launch(self, script: str, inputs: dict[str, bytes] | None = None, **changes: Any) -> FakeRun:
+        """Queue a run of a script."""
+        given = inputs or {}
+        resources = {"cores": 1, "memory_bytes": 200_000_000, "disk_bytes": 50_000_000, "time_s": 60}
+        resources |= changes.pop("resources", {})
+        said: dict[str, Any] = {
+            "run_id": uuid.uuid4(),
+            "attempt": 1,
+            "project_id": uuid.uuid4(),
+            "mission_id": uuid.uuid4(),
+            "action": ActionRef(name="an-action", version=1),
+            "image": None,
+            "image_digest": None,
+            "command": [],
+            "script": script,
+            "dependencies": [],
+            "parameters": {},
+            "resources": Resources.model_validate(resources),
+            "network": Network.none,
+            "inputs": [
+                ClaimInput(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+                for path, data in given.items()
+            ],
+            "token": None,
+            "lease_s": LEASE_S,
+        }
+        run = FakeRun(Claim.model_validate({**said, **changes}), given)
+        with self._changed:
+            self.runs[run.claim.run_id] = run
+            self._changed.notify_all()
+        return run
+
+    def wake(self) -> None:
+        """Have whoever waits for a run look again."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def requeue(self, run: FakeRun) -> None:
+        """Take a run from its runner, as when its lease ran out."""
+        with self._changed:
+            run.state, run.runner_id = RunState.queued, None
+            self._changed.notify_all()
+
+    # -- what runners say ----------------------------------------------------------------------------------------------
+
+    def answer(self, method: str, path: str, query: str, body: bytes) -> BaseModel | None:
+        """Answer a request to the API."""
+        name = re.sub(r"[0-9a-f]{8}-[0-9a-f-]{27}", "*", path)
+        self.requests[name] += 1
+        found = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
+        noun = uuid.UUID(found.group()) if found else None
+        if name == "/runners":
+            return self._hello(RunnerHello.model_validate_json(body))
+        if name == "/runners/*/claims":
+            assert noun is not None
+            return self._claim(noun, ClaimAsk.model_validate_json(body))
+        if name == "/runners/*/beats":
+            assert noun is not None
+            return self._beat(noun, Beats.model_validate_json(body))
+        if name == "/uploads/parts":
+            return self._sign(PartsSign.model_validate_json(body))
+        if name == "/uploads/complete":
+            return self._complete(UploadsComplete.model_validate_json(body))
+        run = self.runs.get(noun) if noun else None
+        if run is None or not name.startswith("/runner/runs/*/"):
+            raise NotFound(noun="route", ref=path)
+        return self._of_run(run, name.removeprefix("/runner/runs/*/"), query, body)
+
+    def _of_run(self, run: FakeRun, what: str, query: str, body: bytes) -> BaseModel | None:
+        if what == "context":
+            self._check(run, int(query.removeprefix("attempt=")))
+            return RunContext(
+                run_id=run.claim.run_id,
+                action=run.claim.action,
+                parameters=run.claim.parameters,
+                cause=Cause(),
+                mission=a_mission(run.claim.mission_id, run.claim.project_id),
+                files=[],
+                topics=[],
+                recordings=[],
+            )
+        if what == "inputs":
+            asked = InputsAsk.model_validate_json(body)
+            self._check(run, asked.attempt)
+            urls = [f"{self.url}/store/in/{run.claim.run_id}/{path}?X-Amz-Signature=abc" for path in asked.paths]
+            return InputUrls(urls=urls, expires_at=LATER)
+        if what == "log/sign":
+            piece = SegmentAsk.model_validate_json(body)
+            self._check(run, piece.attempt)
+            key = f"log/{run.claim.run_id}/{piece.attempt}/{piece.offset}"
+            return SegmentPut(url=f"{self.url}/store/{key}?sha256={piece.sha256}", headers={})
+        if what == "log/kept":
+            self._keep(run, SegmentKept.model_validate_json(body))
+            return None
+        if what == "uploads":
+            return self._begin(run, ArtifactsBegin.model_validate_json(body))
+        return self._finish(run, RunFinish.model_validate_json(body))
+
+    def _hello(self, hello: RunnerHello) -> RunnerRead:
+        self.hellos.append(hello)
+        said = hello.model_dump(exclude={"labels"})
+        return RunnerRead(**said, labels=hello.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
+
+    def _claim(self, runner_id: uuid.UUID, ask: ClaimAsk) -> Claimed:
+        until = time.monotonic() + ask.wait_s
+        with self._changed:
+            self.asked.append(ask)
+            while not self.is_silent.is_set():
+                for run in self.runs.values():
+                    wanted = run.claim.resources
+                    is_lost = run.runner_id == runner_id and run.claim.run_id not in ask.held and not run.finishes
+                    fits = wanted.cores <= ask.free.cores and wanted.memory_bytes <= ask.free.memory_bytes
+                    if (run.state is RunState.queued or is_lost) and fits:
+                        run.state, run.runner_id, run.attempt = RunState.preparing, runner_id, run.attempt + 1
+                        run.claim = run.claim.model_copy(update={"attempt": run.attempt})
+                        return Claimed(claim=run.claim)
+                if not self._changed.wait(max(0.0, until - time.monotonic())):
+                    break
+            return Claimed(claim=None)
+
+    def _beat(self, runner_id: uuid.UUID, beats: Beats) -> BeatAnswers:
+        answers = []
+        for beat in beats.runs:
+            run = self.runs.get(beat.run_id)
+            verdict = Verdict.go_on
+            if run is None or run.runner_id != runner_id or run.attempt != beat.attempt or run.finishes:
+                verdict = Verdict.gone
+            else:
+                if not run.states or run.states[-1] is not beat.state:
+                    run.states.append(beat.state)
+                if beat.progress:
+                    run.progress.append(beat.progress.fraction)
+                verdict = Verdict.cancel if run.is_cancelled else verdict
+            answers.append(BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=verdict))
+        return BeatAnswers(runs=answers, lease_s=self.lease_s)
+
+    def _check(self, run: FakeRun, attempt: int) -> None:
+        if run.attempt != attempt or run.runner_id is None or run.finishes:
+            raise RunGone(run_id=str(run.claim.run_id))
+
+    def _keep(self, run: FakeRun, kept: SegmentKept) -> None:
+        self._check(run, kept.attempt)
+        piece = self._objects[f"log/{run.claim.run_id}/{kept.attempt}/{kept.offset}"]
+        assert len(piece) == kept.size_bytes
+        if (kept.offset, piece) not in run.segments:
+            run.segments.append((kept.offset, piece))
+
+    def _begin(self, run: FakeRun, begin: ArtifactsBegin) -> UploadDecisions:
+        self._check(run, begin.attempt)
+        while self.holds_uploads.is_set():
+            time.sleep(0.02)
+        decisions: list[UploadDecision] = []
+        for file in begin.files:
+            if file.path in run.artifacts:
+                decisions.append(Present(file=None))
+                continue
+            upload_id = uuid.uuid4()
+            self._uploads[upload_id] = (run, file.path, file.size_bytes)
+            upload = UploadRead(
+                id=upload_id,
+                mission_id=run.claim.mission_id,
+                path=file.path,
+                size_bytes=file.size_bytes,
+                part_size_bytes=part_size_bytes(file.size_bytes),
+                checksum=ChecksumKind.sha256,
+                state=UploadState.open,
+                lease_ends_at=LATER,
+                expires_at=LATER,
+                parts=list[HeldPart](),
+            )
+            decisions.append(Send(upload=upload))
+        return UploadDecisions(items=decisions)
+
+    def _sign(self, asked: PartsSign) -> SignedParts:
+        signed = [
+            SignedPart(
+                upload_id=part.upload_id,
+                number=part.number,
+                url=f"{self.url}/store/up/{part.upload_id}/{part.number}?sha256={part.checksum}",
+                headers={},
+                expires_at=LATER,
+            )
+            for part in asked.parts
+        ]
+        return SignedParts(items=signed)
+
+    def _complete(self, asked: UploadsComplete) -> UploadOutcomes:
+        for each in asked.uploads:
+            run, path, size = self._uploads[each.upload_id]
+            parts = sorted(
+                (int(key.rpartition("/")[2]), data)
+                for key, data in self._objects.items()
+                if key.startswith(f"up/{each.upload_id}/")
+            )
+            whole = b"".join(data for _, data in parts)
+            assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, each.sha256)
+            run.artifacts[path] = whole
+        return UploadOutcomes(items=[Completed(upload_id=each.upload_id, file=None) for each in asked.uploads])
+
+    def _finish(self, run: FakeRun, finish: RunFinish) -> RunFinished:
+        if not (run.finishes and run.attempt == finish.attempt):
+            self._check(run, finish.attempt)
+        run.finishes.append(finish)
+        ends = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}
+        run.state = ends.get(finish.reason, RunState.failed)
+        return RunFinished(state=run.state)
+
+    # -- the store -----------------------------------------------------------------------------------------------------
+
+    def read(self, key: str) -> bytes:
+        """Return an object's bytes."""
+        self.requests["GET store"] += 1
+        _, run_id, path = key.split("/", 2)
+        right = self.runs[uuid.UUID(run_id)].inputs[path]
+        return self.spoilt.get(path, right)
+
+    def write(self, key: str, data: bytes, sha256: str) -> bool:
+        """Take an object's bytes, if they are those that were announced."""
+        if self.store_refuses.is_set() or hashlib.sha256(data).hexdigest() != sha256:
+            return False
+        self._objects[key] = data
+        return True
+
+
+class _Handler(BaseHTTPRequestHandler):
+    fake: FakeServer
+    protocol_version = "HTTP/1.1"
+    # An answer is two writes; else each waits for the other side's word.
+    disable_nagle_algorithm = True
+    wbufsize = -1
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  as its base calls it
+        """Say nothing."""
+
+    def do_GET(self) -> None:
+        self._do("GET")
+
+    def do_POST(self) -> None:
+        self._do("POST")
+
+    def do_PUT(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        path, _, query = self.path.partition("?")
+        is_taken = self.fake.write(path.removeprefix("/store/"), body, query.removeprefix("sha256="))
+        self._say(200 if is_taken else 503, b"", {"ETag": '"e"'})
+
+    def _do(self, method: str) -> None:
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        path, _, query = self.path.partition("?")
+        if self.fake.is_silent.is_set():
+            self.close_connection = True
+            return
+        if path.startswith("/store/"):
+            self._give(self.fake.read(path.removeprefix("/store/")))
+            return
+        assert self.headers["Authorization"] == f"Bearer {RUNNER_TOKEN}"
+        try:
+            answer = self.fake.answer(method, path.removeprefix("/api/v1"), query, body)
+        except KleinkramError as error:
+            problem = to_problem(error, "a-request").model_dump_json().encode()
+            self._say(error.status, problem, {"Content-Type": "application/problem+json"})
+            return
+        if self.fake.is_silent.is_set():
+            self.close_connection = True
+            return
+        self._say(200 if answer else 204, answer.model_dump_json().encode() if answer else b"", {})
+
+    def _give(self, data: bytes) -> None:
+        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
+        assert wanted is not None
+        data = data[int(wanted.group(1)) : int(wanted.group(2)) + 1]
+        self.send_response(206)
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        pace = self.fake.slow_bytes_per_s
+        step = len(data) if pace is None else max(1, int(pace / 20))
+        try:
+            for at in range(0, len(data), step or 1):
+                self.wfile.write(data[at : at + step])
+                if pace is not None:
+                    self.wfile.flush()
+                    time.sleep(0.05)
+        except OSError:
+            self.close_connection = True
+
+    def _say(self, status: int, body: bytes, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(body))}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)

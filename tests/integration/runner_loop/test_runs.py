@@ -1,0 +1,26 @@
+"""A run from its claim to its end, as the server sees it."""
+
+from __future__ import annotations
+
+from kleinkram.contract.runners import LOG_PATH
+from kleinkram.contract.runs import EndReason, RunState
+from tests.integration.runner_loop.conftest import Runners, ended
+from tests.integration.runner_loop.fake_server import FakeServer
+
+
+def test_a_run_leaves_its_files_its_words_and_its_log(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch(
+        "from kleinkram.action import inputs, out, report, context\n"
+        "report.metric('size', 3, unit='B')\n"
+        "(out / 'deep').mkdir()\n"
+        "(out / 'deep' / 'copy').write_bytes((out.parent / 'in' / 'a' / 'drive.bag').read_bytes())\n"
+        "print(context().mission.name)\n",
+        {"a/drive.bag": b"bytes of a drive"},
+    )
+    finish = ended(run).finishes[0]
+    assert (finish.reason, finish.exit_code, finish.problems) == (EndReason.done, 0, [])
+    assert run.artifacts == {"deep/copy": b"bytes of a drive", LOG_PATH: b"a-mission\n"}
+    assert [metric.name for metric in finish.report.metrics] == ["size"]
+    assert finish.usage is not None
+    assert RunState.running in run.states
