@@ -1,12 +1,13 @@
 """`klein action …`"""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kleinkram import connect
 from kleinkram.cli.action_view import show_action, show_actions, show_versions
+from kleinkram.cli.building import build
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.launch import SetOption, parameter_values, run, split_version
 from kleinkram.cli.log_view import on_stderr
@@ -20,6 +21,16 @@ from kleinkram.client.manifest import read_manifest
 from kleinkram.contract.actions import ActionDefinition, ActionRead
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
+
+if TYPE_CHECKING:
+    from kleinkram.runner.local import LocalRun
+    from kleinkram.runner.work import Executor
+
+_ISOLATIONS = {
+    Isolation.container: "in a container.",
+    Isolation.namespaces: "as a process, in namespaces of its own.",
+    Isolation.none: "as a plain process: this kernel gives no namespaces to you, so it can change whatever you can.",
+}
 
 app = typer.Typer(
     help="Actions: what to run on the files of a mission.",
@@ -46,25 +57,62 @@ def run_local(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go; empty or not there yet.")] = Path(
         "out"
     ),
+    no_build: Annotated[
+        bool, typer.Option("--no-build", help="Take the image as it is, though there is a Dockerfile.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run an action on this machine, on a mission: the same /in and /out as on a runner. Nothing is stored."""
+    """Run an action on this machine, on a mission: the same /in and /out as on a runner. Nothing is stored.
+
+    An action with an image runs in a container, built first of the Dockerfile beside its manifest; any other runs as a
+    process.
+    """
     from kleinkram.cli.progress import watching
-    from kleinkram.runner.local import LocalRun, run_locally
-    from kleinkram.runner.process.executor import ProcessExecutor
+    from kleinkram.runner.local import run_locally
 
     definition = read_manifest(action)
     values = parameter_values(definition, parameters or [])
     if mission is None:
         raise InvalidInput(what="The command", reason="say which mission, with -m")
-    executor = ProcessExecutor()
-    if executor.abilities.isolation is Isolation.none:
-        note("This kernel gives no namespaces to this user: the action can read and change whatever you can.")
+    executor = _executor(definition)
+    if definition.image is not None:
+        if not no_build:
+            build(action if action.is_dir() else action.parent, definition.image)
+        definition = _pinned(executor, definition, definition.image)
     with connect() as client, watching() as watcher:
         found = client.missions.get(mission, project=project)
-        ran: LocalRun = run_locally(
+        ran = run_locally(
             client, definition, found, values, executor=executor, out=out, show=on_stderr, watcher=watcher
         )
+    _show_local(ran, as_json)
+
+
+def _executor(definition: ActionDefinition) -> "Executor":
+    from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
+
+    if definition.image is None:
+        executor = choose(ExecutorChoice.process, "local", ImagePolicy())
+    else:
+        try:
+            executor = choose(ExecutorChoice.docker, "local", ImagePolicy())
+        except InvalidInput as error:
+            why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
+            raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
+    note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
+    return executor
+
+
+def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> ActionDefinition:
+    from kleinkram.runner.work import CannotStart
+
+    try:
+        return definition.model_copy(update={"image": executor.prepare(image).reference})
+    except CannotStart as error:
+        note(error.ending.message)
+        raise typer.Exit(ExitCode.run_failed) from None
+
+
+def _show_local(ran: "LocalRun", as_json: bool) -> None:
     report = ran.results.report
     for problem in ran.results.problems:
         note(problem)
@@ -85,7 +133,7 @@ def run_local(
             show_findings(report.findings)
         for name, value in report.metadata.items():
             line(f"proposed {name}: {value}")
-        note(f"{len(ran.results.artifacts)} artifacts in {out}.")
+        note(f"{len(ran.results.artifacts)} artifacts in {ran.out}.")
     if ran.ending.reason is not EndReason.done:
         note(ran.ending.message)
         raise typer.Exit(ExitCode.run_failed)

@@ -165,7 +165,9 @@ def _listing(missions: Sequence[MissionRead]) -> str:
 def _wanted(client: Client, ref: str, missions: Sequence[MissionRead]) -> _Wanted:
     path = Path(ref)
     if path.exists():
-        return _Wanted(read_manifest(path))
+        definition = read_manifest(path)
+        note(f"Running {definition.name} as it is in {path}, unpublished.")
+        return _Wanted(definition)
     if "/" in ref or path.suffix == ".py":
         raise InvalidInput(what=f"The action {ref!r}", reason="there is no such file or folder")
     name, version = split_version(ref)

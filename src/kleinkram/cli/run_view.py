@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from kleinkram.cli.render import details, line, table
+from kleinkram.cli.render import details, line, note, table
 from kleinkram.cli.units import duration, size
 from kleinkram.contract.reports import Finding, Metric
 from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
@@ -34,7 +34,8 @@ def standing(run: RunRead) -> str:
 
 
 def show_runs(runs: Iterable[RunRead]) -> None:
-    """Print runs of any missions as a table."""
+    """Print runs of any missions as a table, and why those that wait do."""
+    rows = [*runs]
     table(
         ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "id"],
         [
@@ -42,7 +43,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 run.mission.project.name,
                 run.mission.name,
                 action_name(run.action),
-                standing(run),
+                _short(run),
                 _took(run),
                 sum(run.finding_counts.values()),
                 run.metric_count,
@@ -51,9 +52,11 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 run.cause.person and run.cause.person.name,
                 run.id,
             )
-            for run in runs
+            for run in rows
         ],
     )
+    for why in dict.fromkeys(run.waits_for for run in rows if run.waits_for):
+        note(f"queued: {why}")
 
 
 def show_run(run: RunDetail) -> None:
@@ -112,6 +115,10 @@ def show_findings(findings: Iterable[Finding]) -> None:
         ["severity", "finding", "message", "file", "topic", "time"],
         [(each.severity.value, each.code, each.message, each.file, each.topic, each.time_ns) for each in findings],
     )
+
+
+def _short(run: RunRead) -> str:
+    return str(run.state.value) if run.state is RunState.queued else standing(run)
 
 
 def _took(run: RunRead) -> str | None:
