@@ -6,6 +6,7 @@ Nothing here asks the code under test what somebody may do; of `operations` it t
 import enum
 from dataclasses import dataclass
 
+from kleinkram.contract.rights import Scope
 from kleinkram.server.access.operations import Need, On
 from tests.integration.access.carriers import Carrier, Kind, Reach
 
@@ -77,7 +78,11 @@ def admitted(need: Need, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if carrier.kind is Kind.runner and not need.runners:
         return Verdict.refused
-    if not need.scopes & carrier.scopes:
+    if need.only_runners and carrier.kind is not Kind.runner:
+        return Verdict.refused
+    if not need.scopes & carrier.scopes and carrier.kind is not Kind.runner:
+        return Verdict.refused
+    if need.reads and Scope.read not in carrier.scopes:
         return Verdict.refused
     if need.browsers and not carrier.is_browser:
         return Verdict.refused

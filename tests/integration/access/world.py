@@ -46,6 +46,10 @@ class Things:
     target_mission: str
     # A link to the mission, and somebody who shares nothing with anybody.
     link: str
+    # An action of the project, and a run of it on the mission that is over, with what it left and said.
+    action: str
+    run: str
+    artifact: str
     hermit: str
     hermit_name: str
 
@@ -102,6 +106,7 @@ def put_things(api: Api, *, is_public: bool) -> Things:
         sample.file(mission["id"], f"{name}.mcap", topics=topics) for name in ("one", "two", "gone")
     )
     hermit = people.person(api)
+    action, run, artifact = _put_run(api, project["id"], mission["id"], file)
     things = Things(
         project=project["id"],
         project_name=project["name"],
@@ -116,6 +121,9 @@ def put_things(api: Api, *, is_public: bool) -> Things:
         target=target,
         target_mission=target_mission,
         link=people.share(api, mission["id"]).id,
+        action=action,
+        run=run,
+        artifact=artifact,
         hermit=hermit.id,
         hermit_name=hermit.name,
     )
@@ -125,6 +133,27 @@ def put_things(api: Api, *, is_public: bool) -> Things:
     for table, gone in (("mission", trashed_mission), ("file", trashed), ("project", trashed_project)):
         trash(api, table, gone)
     return things
+
+
+ACTION = {"name": "count", "script": "print(1)"}
+
+
+def _put_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tuple[str, str, str]:
+    """Put an action, and a run of it that is over; returns the ids of both, and of what the run left."""
+    made = api.post("/actions", {"project_id": project_id, "definition": ACTION}).ok(201)
+    wanted = {"mission_ids": [mission_id], "action_id": made["id"], "force": True}
+    run = api.post("/runs", wanted).ok()["items"][0]["run"]["id"]
+    api.post(f"/runs/{run}/cancel").ok()
+    artifact = str(uuid.uuid4())
+    api.sql(
+        "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, 'left', blob_id FROM file WHERE id = %s",
+        *(artifact, run, file_id),
+    )
+    api.sql(
+        "INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'seen', 'It was seen.')", run
+    )
+    api.sql("INSERT INTO run_metric (run_id, name, value) VALUES (%s, 'count', 1)", run)
+    return made["id"], run, artifact
 
 
 def trash(api: Api, table: str, ref: str) -> None:

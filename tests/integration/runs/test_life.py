@@ -162,7 +162,7 @@ def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place
 
 def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
     action = {"name": "bags", "script": "x", "inputs": {"paths": ["*.bag"]}}
-    (refused,) = lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": action}).ok(201)["items"]
+    (refused,) = lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": action}).ok()["items"]
     assert refused["outcome"] == "refused"
     assert refused["problem"]["code"] == "no_inputs"
     assert "*.bag" in refused["problem"]["detail"]

@@ -32,6 +32,11 @@ export class Problem extends Error {
     return Array.isArray(given) ? given.filter(isFieldProblem) : [];
   }
 
+  /** What is wrong with the name that was given, to be said where it was typed; empty where something else is wrong. */
+  get ofName(): string {
+    return this.code === "name_taken" || this.code === "path_conflict" ? this.message : "";
+  }
+
   /** Whether asking the same again may well succeed. */
   get isPassing(): boolean {
     return this.code === "unreachable" || this.status === 503 || this.status === 429;

@@ -1,6 +1,78 @@
 // Written by `npm run generate` from docs/openapi.json. Do not edit.
 
 export interface paths {
+    "/api/v1/actions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Actions
+         * @description List the actions that match, by name: of projects that you may read, and of the whole lab.
+         */
+        get: operations["list_actions"];
+        put?: never;
+        /**
+         * Create Action
+         * @description Publish an action, as its first version.
+         */
+        post: operations["create_action"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/actions/{action_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Action
+         * @description Get an action with its latest version.
+         */
+        get: operations["get_action"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        /**
+         * Update Action
+         * @description Archive an action, or take it back.
+         */
+        patch: operations["update_action"];
+        trace?: never;
+    };
+    "/api/v1/actions/{action_id}/versions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Action Versions
+         * @description List the versions of an action, latest first.
+         */
+        get: operations["list_action_versions"];
+        put?: never;
+        /**
+         * Publish Action Version
+         * @description Publish a further version of an action.
+         */
+        post: operations["publish_action_version"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/health": {
         parameters: {
             query?: never;
@@ -594,6 +666,26 @@ export interface paths {
         patch: operations["update_file"];
         trace?: never;
     };
+    "/api/v1/files/{file_id}/lineage": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Lineage
+         * @description Say which run made a file, and which runs read it, with what came of that.
+         */
+        get: operations["get_lineage"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/files/{file_id}/prove": {
         parameters: {
             query?: never;
@@ -668,6 +760,26 @@ export interface paths {
          * @description Put labels on many files and take labels off them; says for each file how it went.
          */
         post: operations["label_files"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/findings": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Findings
+         * @description List what runs noticed, latest first.
+         */
+        get: operations["list_findings"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1520,6 +1632,374 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/run-metrics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Run Metrics
+         * @description List the numbers that runs found, latest first.
+         */
+        get: operations["list_run_metrics"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/context": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Run Context
+         * @description Get what a run is told of itself, its mission and its files.
+         */
+        get: operations["get_run_context"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/finish": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Finish Run
+         * @description Say how a run ended, once all that it left is uploaded.
+         */
+        post: operations["finish_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/inputs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Sign Inputs
+         * @description Get where to read inputs.
+         */
+        post: operations["sign_inputs"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/log/kept": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Keep Log Segment
+         * @description Say that a piece of a log was stored: people see it from then on.
+         */
+        post: operations["keep_log_segment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/log/sign": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Sign Log Segment
+         * @description Get where to store a piece of a log.
+         */
+        post: operations["sign_log_segment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runner/runs/{run_id}/uploads": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Uploads Of Run
+         * @description Say what a run left, and hear what to send: by the same protocol as files of a mission.
+         */
+        post: operations["begin_artifacts"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runners": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Runners
+         * @description List the runners, by name.
+         */
+        get: operations["list_runners"];
+        put?: never;
+        /**
+         * Say Hello
+         * @description Say what a runner is, whenever it starts.
+         */
+        post: operations["say_hello"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runners/{runner_id}/beats": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Beat
+         * @description Say what all runs are at, and hear which are to end.
+         */
+        post: operations["beat"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runners/{runner_id}/claims": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Claim Run
+         * @description Ask for a run that fits what is free, and wait for one.
+         */
+        post: operations["claim_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Runs
+         * @description List the runs that match, latest first.
+         */
+        get: operations["list_runs"];
+        put?: never;
+        /**
+         * Create Runs
+         * @description Run an action on each of some missions; says for each mission whether there is a run.
+         */
+        post: operations["create_runs"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Run
+         * @description Get a run with all that fits one answer.
+         */
+        get: operations["get_run"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/artifacts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Artifacts
+         * @description List what a run left, by path.
+         */
+        get: operations["list_artifacts"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/artifacts/download": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Download Artifacts
+         * @description Return where to read artifacts; who asked is noted.
+         */
+        post: operations["download_artifacts"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/cancel": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Cancel Run
+         * @description Cancel a run; one that a runner has ends within seconds.
+         */
+        post: operations["cancel_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/inputs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Run Inputs
+         * @description List what a run was given, by path.
+         */
+        get: operations["list_run_inputs"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/log": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Run Log
+         * @description Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`.
+         */
+        get: operations["get_run_log"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runs/{run_id}/retry": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Retry Run
+         * @description Run the same once more, on the files as they are now; with `force` though a good run of it is there.
+         */
+        post: operations["retry_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/search": {
         parameters: {
             query?: never;
@@ -1833,6 +2313,25 @@ export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
         /**
+         * Abilities
+         * @description What an executor can do. `images`: run container images, not only scripts.
+         */
+        Abilities: {
+            /** Bounds Disk */
+            bounds_disk: boolean;
+            /** Bounds Memory */
+            bounds_memory: boolean;
+            /** Executor */
+            executor: string;
+            /** Gpus */
+            gpus: boolean;
+            /** Images */
+            images: boolean;
+            isolation: components["schemas"]["Isolation"];
+            /** Networks */
+            networks: components["schemas"]["Network"][];
+        };
+        /**
          * AccessRead
          * @description One way in which somebody has a right now; of several, the highest counts.
          *
@@ -1875,6 +2374,146 @@ export interface components {
             /** Has Password */
             has_password: boolean;
             person: components["schemas"]["PersonRef"];
+        };
+        /**
+         * ActionCreate
+         * @description An action to publish, as its first version: in a project, or without one, for the whole lab.
+         */
+        ActionCreate: {
+            definition: components["schemas"]["ActionDefinition"];
+            /** Project Id */
+            project_id?: string | null;
+        };
+        /**
+         * ActionDefinition
+         * @description What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
+         *
+         *     `command` is a list that nobody splits; without it the image's own is run. A script is started with Python, and its
+         *     `dependencies` (PEP 508) must be there: on the stock image, or on the image that it names.
+         *     `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
+         */
+        ActionDefinition: {
+            /**
+             * Command
+             * @default []
+             */
+            command: string[];
+            /**
+             * Dependencies
+             * @default []
+             */
+            dependencies: string[];
+            /**
+             * Description
+             * @default
+             */
+            description: string;
+            /** Image */
+            image?: string | null;
+            /**
+             * @default {
+             *       "message_types": [],
+             *       "paths": [],
+             *       "topics": []
+             *     }
+             */
+            inputs: components["schemas"]["Inputs"];
+            /** Name */
+            name: string;
+            /** @default none */
+            network: components["schemas"]["Network"];
+            /**
+             * Parameters
+             * @default []
+             */
+            parameters: components["schemas"]["Parameter"][];
+            /**
+             * @default {
+             *       "cores": 1,
+             *       "disk_bytes": 10000000000,
+             *       "gpus": 0,
+             *       "labels": [],
+             *       "memory_bytes": 2000000000,
+             *       "time_s": 3600
+             *     }
+             */
+            resources: components["schemas"]["Resources"];
+            /** @default READ */
+            right: components["schemas"]["Right"];
+            /** Script */
+            script?: string | null;
+        };
+        /**
+         * ActionRead
+         * @description An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+         */
+        ActionRead: {
+            /** Archived */
+            archived: boolean;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            /** Description */
+            description: string;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            latest: components["schemas"]["ActionVersionRead"];
+            /** May Change */
+            may_change: boolean;
+            /** Name */
+            name: string;
+            project: components["schemas"]["ProjectRef"] | null;
+        };
+        /**
+         * ActionRef
+         * @description An action in one version; id and version are null where it is run from a folder that nobody has published.
+         */
+        ActionRef: {
+            /** Id */
+            id?: string | null;
+            /** Name */
+            name: string;
+            /** Version */
+            version: number | null;
+        };
+        /**
+         * ActionUpdate
+         * @description What to change of an action. An archived one is not listed and starts no new runs; its runs stay.
+         */
+        ActionUpdate: {
+            /** Archived */
+            archived: boolean;
+        };
+        /**
+         * ActionVersionRead
+         * @description One version of an action, which never changes.
+         *
+         *     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
+         *     before, and for a script on the stock image.
+         */
+        ActionVersionRead: {
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            definition: components["schemas"]["ActionDefinition"];
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Image Digest */
+            image_digest: string | null;
+            /** Number */
+            number: number;
         };
         /**
          * AddressRead
@@ -1957,6 +2596,70 @@ export interface components {
             uploads: components["schemas"]["StateAmount"];
         };
         /**
+         * ArtifactRead
+         * @description A file that a run left. `file_id` is that of the mission's file that was made of it, where one was.
+         */
+        ArtifactRead: {
+            /** File Id */
+            file_id: string | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Path */
+            path: string;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * ArtifactsBegin
+         * @description Artifacts to upload, and the whole log under `LOG_PATH`: by the same protocol as files of a mission.
+         */
+        ArtifactsBegin: {
+            /** Attempt */
+            attempt: number;
+            /** Files */
+            files: components["schemas"]["UploadFile"][];
+        };
+        /**
+         * ArtifactsWanted
+         * @description Artifacts of one run to be fetched.
+         */
+        ArtifactsWanted: {
+            /** Artifact Ids */
+            artifact_ids: string[];
+        };
+        /**
+         * ArtifactUrl
+         * @description Where to GET an artifact, before `expires_at`.
+         */
+        ArtifactUrl: {
+            artifact: components["schemas"]["ArtifactRead"];
+            /**
+             * Expires At
+             * Format: date-time
+             */
+            expires_at: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * ArtifactUrls
+         * @description Where to read them, in the order asked.
+         */
+        ArtifactUrls: {
+            /** Items */
+            items: components["schemas"]["ArtifactUrl"][];
+        };
+        /**
          * Attention
          * @description So many things of a kind that need somebody, in one mission where they are of one.
          */
@@ -2014,6 +2717,61 @@ export interface components {
             token: components["schemas"]["CredentialRef"] | null;
         };
         /**
+         * Beat
+         * @description What one run is at. `started`: its container was. Samples are those since the last beat.
+         */
+        Beat: {
+            /** Attempt */
+            attempt: number;
+            /** Image Digest */
+            image_digest?: string | null;
+            progress?: components["schemas"]["Progress"] | null;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /**
+             * Samples
+             * @default []
+             */
+            samples: components["schemas"]["Sample"][];
+            state: components["schemas"]["RunState"];
+            usage?: components["schemas"]["Usage"] | null;
+        };
+        /**
+         * BeatAnswer
+         * @description What becomes of one run.
+         */
+        BeatAnswer: {
+            /** Attempt */
+            attempt: number;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            verdict: components["schemas"]["Verdict"];
+        };
+        /**
+         * BeatAnswers
+         * @description What becomes of each, and how long they are held from now on.
+         */
+        BeatAnswers: {
+            /** Lease S */
+            lease_s: number;
+            /** Runs */
+            runs: components["schemas"]["BeatAnswer"][];
+        };
+        /**
+         * Beats
+         * @description What all runs of a runner are at.
+         */
+        Beats: {
+            /** Runs */
+            runs: components["schemas"]["Beat"][];
+        };
+        /**
          * BlobState
          * @description What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were.
          * @enum {string}
@@ -2042,6 +2800,29 @@ export interface components {
             value: string | null;
         };
         /**
+         * Capacity
+         * @description What a machine has, or has free, for runs.
+         */
+        Capacity: {
+            /** Cores */
+            cores: number;
+            /** Disk Bytes */
+            disk_bytes: number;
+            /** Gpus */
+            gpus: number;
+            /** Memory Bytes */
+            memory_bytes: number;
+        };
+        /**
+         * Cause
+         * @description Why a run is: who asked for it, and of which run it is another try.
+         */
+        Cause: {
+            person?: components["schemas"]["PersonRef"] | null;
+            /** Retry Of Id */
+            retry_of_id?: string | null;
+        };
+        /**
          * ChecksumKind
          * @description How the store proves what it received, as found by the server's probe when it started.
          *
@@ -2054,7 +2835,7 @@ export interface components {
          * Claim
          * @description Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone.
          */
-        Claim: {
+        "Claim-Input": {
             /** Code */
             code: string;
             /** Email */
@@ -2063,6 +2844,91 @@ export interface components {
             name?: string | null;
             /** Password */
             password?: string | null;
+        };
+        /**
+         * Claim
+         * @description A run that is this runner's until its lease ends.
+         *
+         *     `image_digest` is what the image's name was first resolved to, by whichever runner: no other may be run under it.
+         *     `token` is there unless the network is `none`: it is the run's own, and good as long as the run lasts.
+         */
+        "Claim-Output": {
+            action: components["schemas"]["ActionRef"];
+            /** Attempt */
+            attempt: number;
+            /** Command */
+            command: string[];
+            /** Dependencies */
+            dependencies: string[];
+            /** Image */
+            image: string | null;
+            /** Image Digest */
+            image_digest: string | null;
+            /** Inputs */
+            inputs: components["schemas"]["ClaimInput"][];
+            /** Lease S */
+            lease_s: number;
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /**
+             * Project Id
+             * Format: uuid
+             */
+            project_id: string;
+            resources: components["schemas"]["Resources"];
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /** Script */
+            script: string | null;
+            /** Token */
+            token: string | null;
+        };
+        /**
+         * ClaimAsk
+         * @description What is free for a further run, and how long to wait for one. `held`: the runs that the runner knows it has.
+         */
+        ClaimAsk: {
+            free: components["schemas"]["Capacity"];
+            /**
+             * Held
+             * @default []
+             */
+            held: string[];
+            /**
+             * Wait S
+             * @default 0
+             */
+            wait_s: number;
+        };
+        /**
+         * Claimed
+         * @description The answer to a claim; null where nothing came that fits.
+         */
+        Claimed: {
+            claim: components["schemas"]["Claim-Output"] | null;
+        };
+        /**
+         * ClaimInput
+         * @description A file that a run is given.
+         */
+        ClaimInput: {
+            /** Path */
+            path: string;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * CliExchange
@@ -2313,11 +3179,17 @@ export interface components {
             purpose: components["schemas"]["FetchPurpose"];
         };
         /**
+         * EndReason
+         * @description Why a run is over. `exit_code`: the command said so itself; all after it are not the command's word.
+         * @enum {string}
+         */
+        EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_kept" | "lost";
+        /**
          * ErrorCode
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -2632,6 +3504,39 @@ export interface components {
             path?: string | null;
         };
         /**
+         * Finding
+         * @description Something that a run noticed. `file` is a path of its inputs; times are log times, in ns since 1970.
+         */
+        Finding: {
+            /** Code */
+            code: string;
+            /** File */
+            file?: string | null;
+            /** Message */
+            message: string;
+            severity: components["schemas"]["Severity"];
+            /** Time Ns */
+            time_ns?: number | null;
+            /** Topic */
+            topic?: string | null;
+        };
+        /**
+         * FindingRead
+         * @description A finding, and the run that said it.
+         */
+        FindingRead: {
+            action: components["schemas"]["ActionRef"];
+            finding: components["schemas"]["Finding"];
+            /** Id */
+            id: number;
+            mission: components["schemas"]["MissionRef"];
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+        };
+        /**
          * GrantCreate
          * @description A right to give, to exactly one of a person, a group and an address; without `expires_at` it has no end.
          *
@@ -2841,6 +3746,52 @@ export interface components {
             provider: string | null;
         };
         /**
+         * Inputs
+         * @description Which files of a mission a run gets: those of which the path, a topic and a message type match.
+         *
+         *     Globs as in filters; an empty list matches all. By default, all files.
+         */
+        Inputs: {
+            /**
+             * Message Types
+             * @default []
+             */
+            message_types: string[];
+            /**
+             * Paths
+             * @default []
+             */
+            paths: string[];
+            /**
+             * Topics
+             * @default []
+             */
+            topics: string[];
+        };
+        /**
+         * InputsAsk
+         * @description Inputs to be fetched.
+         */
+        InputsAsk: {
+            /** Attempt */
+            attempt: number;
+            /** Paths */
+            paths: string[];
+        };
+        /**
+         * InputUrls
+         * @description Where to GET each, in the order asked, before `expires_at`.
+         */
+        InputUrls: {
+            /**
+             * Expires At
+             * Format: date-time
+             */
+            expires_at: string;
+            /** Urls */
+            urls: string[];
+        };
+        /**
          * InvitationAccept
          * @description Get the account that one is invited to: `POST /auth/invitation`.
          */
@@ -2862,6 +3813,12 @@ export interface components {
             /** Name */
             name?: string | null;
         };
+        /**
+         * Isolation
+         * @description How well a run is kept away from its machine and from others.
+         * @enum {string}
+         */
+        Isolation: "container" | "namespaces" | "none";
         /**
          * JobAmount
          * @description So many jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at` is since when the oldest waits.
@@ -2896,6 +3853,43 @@ export interface components {
             remove: string[];
         };
         /**
+         * LineageFile
+         * @description A file in a lineage. `id` is null where it is no longer there, or not for the asker.
+         */
+        LineageFile: {
+            /** Id */
+            id: string | null;
+            /** Path */
+            path: string;
+            /** Sha256 */
+            sha256: string;
+        };
+        /**
+         * LineageRead
+         * @description Where a file comes from and what came from it, one step each way; `truncated` where more runs read it.
+         */
+        LineageRead: {
+            file: components["schemas"]["LineageFile"];
+            made_by: components["schemas"]["LineageRun"] | null;
+            /** Read By */
+            read_by: components["schemas"]["LineageRun"][];
+            /** Truncated */
+            truncated: boolean;
+        };
+        /**
+         * LineageRun
+         * @description A run in a lineage: what it was given, and the files of the mission and the artifacts that it made.
+         */
+        LineageRun: {
+            /** Artifact Count */
+            artifact_count: number;
+            /** Files */
+            files: components["schemas"]["LineageFile"][];
+            /** Inputs */
+            inputs: components["schemas"]["LineageFile"][];
+            run: components["schemas"]["RunRead"];
+        };
+        /**
          * Linked
          * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
          */
@@ -2920,6 +3914,24 @@ export interface components {
             longitude: number;
             /** Name */
             name?: string | null;
+        };
+        /**
+         * LogPiece
+         * @description A piece of what a run wrote, from the byte `offset` on; the next one begins at `next_offset`.
+         *
+         *     It ends with a whole line, unless the log ends or a line is very long. `is_over`: nothing comes after `next_offset`.
+         */
+        LogPiece: {
+            /** Attempt */
+            attempt: number;
+            /** Is Over */
+            is_over: boolean;
+            /** Next Offset */
+            next_offset: number;
+            /** Offset */
+            offset: number;
+            /** Text */
+            text: string;
         };
         /**
          * LoopbackApproval
@@ -3050,6 +4062,36 @@ export interface components {
             fields: components["schemas"]["MetadataField"][];
             /** @default accept */
             undeclared: components["schemas"]["Undeclared"];
+        };
+        /**
+         * Metric
+         * @description A number that a run found. One of a name and a file: a later one takes the place of an earlier.
+         */
+        Metric: {
+            /** File */
+            file?: string | null;
+            /** Name */
+            name: string;
+            /** Unit */
+            unit?: string | null;
+            /** Value */
+            value: number;
+        };
+        /**
+         * MetricRead
+         * @description A metric, and the run that said it.
+         */
+        MetricRead: {
+            action: components["schemas"]["ActionRef"];
+            /** Id */
+            id: number;
+            metric: components["schemas"]["Metric"];
+            mission: components["schemas"]["MissionRef"];
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
         };
         /**
          * MissionCreate
@@ -3263,6 +4305,12 @@ export interface components {
          */
         Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
+         * Network
+         * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
+         * @enum {string}
+         */
+        Network: "none" | "api" | "open";
+        /**
          * NotCompleted
          * @description The upload could not be finished; the problem says why and what to do.
          */
@@ -3321,6 +4369,33 @@ export interface components {
             /** Total */
             total?: number | null;
         };
+        /** Page[ActionRead] */
+        Page_ActionRead_: {
+            /** Items */
+            items: components["schemas"]["ActionRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[ActionVersionRead] */
+        Page_ActionVersionRead_: {
+            /** Items */
+            items: components["schemas"]["ActionVersionRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[ArtifactRead] */
+        Page_ArtifactRead_: {
+            /** Items */
+            items: components["schemas"]["ArtifactRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
         /** Page[AuditRead] */
         Page_AuditRead_: {
             /** Items */
@@ -3334,6 +4409,15 @@ export interface components {
         Page_FileRead_: {
             /** Items */
             items: components["schemas"]["FileRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[FindingRead] */
+        Page_FindingRead_: {
+            /** Items */
+            items: components["schemas"]["FindingRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -3361,6 +4445,15 @@ export interface components {
         Page_MemberRead_: {
             /** Items */
             items: components["schemas"]["MemberRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[MetricRead] */
+        Page_MetricRead_: {
+            /** Items */
+            items: components["schemas"]["MetricRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -3397,6 +4490,33 @@ export interface components {
         Page_RecordingRead_: {
             /** Items */
             items: components["schemas"]["RecordingRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[RunInput] */
+        Page_RunInput_: {
+            /** Items */
+            items: components["schemas"]["RunInput"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[RunnerRead] */
+        Page_RunnerRead_: {
+            /** Items */
+            items: components["schemas"]["RunnerRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[RunRead] */
+        Page_RunRead_: {
+            /** Items */
+            items: components["schemas"]["RunRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -3465,6 +4585,36 @@ export interface components {
             /** Total */
             total?: number | null;
         };
+        /**
+         * Parameter
+         * @description What an action can be told. Without default it must be. `minimum` and `maximum` are inclusive.
+         */
+        Parameter: {
+            /** Choices */
+            choices?: string[] | null;
+            /** Default */
+            default?: boolean | number | string | null;
+            /**
+             * Description
+             * @default
+             */
+            description: string;
+            /** Maximum */
+            maximum?: number | null;
+            /** Minimum */
+            minimum?: number | null;
+            /** Name */
+            name: string;
+            type: components["schemas"]["ParameterType"];
+            /** Unit */
+            unit?: string | null;
+        };
+        /**
+         * ParameterType
+         * @description What kind of value a parameter takes. A `topic` is a string that forms offer the mission's topics for.
+         * @enum {string}
+         */
+        ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
         /**
          * PartsSign
          * @description Parts to sign, of one or several uploads: many small files take one request.
@@ -3570,6 +4720,19 @@ export interface components {
             file: components["schemas"]["FileRead"] | null;
         };
         /**
+         * Preview
+         * @description A picture (PNG, JPEG, SVG), a table (CSV) or a track (GeoJSON) among the artifacts, to be shown with the run.
+         */
+        Preview: {
+            /** Path */
+            path: string;
+            /**
+             * Title
+             * @default
+             */
+            title: string;
+        };
+        /**
          * ProblemDocument
          * @description A failure on the wire (RFC 9457); the fields of the error's class stand beside these.
          */
@@ -3587,6 +4750,19 @@ export interface components {
             type: string;
         } & {
             [key: string]: unknown;
+        };
+        /**
+         * Progress
+         * @description How far a run is: `fraction` from 0 to 1, and what it is at.
+         */
+        Progress: {
+            /** Fraction */
+            fraction: number;
+            /**
+             * Message
+             * @default
+             */
+            message: string;
         };
         /**
          * ProjectCreate
@@ -3740,6 +4916,21 @@ export interface components {
             title: string;
         };
         /**
+         * PutBack
+         * @description An artifact that becomes a file of the mission, at `to`, made from the inputs `made_from` (none named: all).
+         */
+        PutBack: {
+            /**
+             * Made From
+             * @default []
+             */
+            made_from: string[];
+            /** Path */
+            path: string;
+            /** To */
+            to: string;
+        };
+        /**
          * ReadDepth
          * @description How content was read: by the file's own index, or every byte of it.
          * @enum {string}
@@ -3830,11 +5021,457 @@ export interface components {
             problem: components["schemas"]["ProblemDocument"];
         };
         /**
+         * Report
+         * @description All that a run says. `metadata` is proposed to people, never taken over by itself.
+         */
+        Report: {
+            /**
+             * Findings
+             * @default []
+             */
+            findings: components["schemas"]["Finding"][];
+            /**
+             * Metadata
+             * @default {}
+             */
+            metadata: {
+                [key: string]: components["schemas"]["JsonValue"];
+            };
+            /**
+             * Metrics
+             * @default []
+             */
+            metrics: components["schemas"]["Metric"][];
+            /**
+             * Previews
+             * @default []
+             */
+            previews: components["schemas"]["Preview"][];
+            /**
+             * Put Back
+             * @default []
+             */
+            put_back: components["schemas"]["PutBack"][];
+        };
+        /**
+         * Resources
+         * @description What a run may use at most, and what a runner sets aside for it. In manifests also as `memory: 4GB`, `time: 30m`.
+         *
+         *     `disk_bytes` is for `/out` and `/tmp` together.
+         */
+        Resources: {
+            /**
+             * Cores
+             * @default 1
+             */
+            cores: number;
+            /**
+             * Disk Bytes
+             * @default 10000000000
+             */
+            disk_bytes: number;
+            /**
+             * Gpus
+             * @default 0
+             */
+            gpus: number;
+            /**
+             * Labels
+             * @default []
+             */
+            labels: string[];
+            /**
+             * Memory Bytes
+             * @default 2000000000
+             */
+            memory_bytes: number;
+            /**
+             * Time S
+             * @default 3600
+             */
+            time_s: number;
+        };
+        /**
          * Right
          * @description What somebody may do with a project or a mission. Each contains those before it; compare by `level`.
          * @enum {string}
          */
         Right: "READ" | "CREATE" | "WRITE" | "DELETE";
+        /**
+         * RunContext
+         * @description What `/in/mission.json` says: the mission, the files that the run gets with what is known of them, and its task.
+         *
+         *     `run_id` is null where no server knows of the run. `topics` are of the files, `recordings` of the mission.
+         */
+        RunContext: {
+            action: components["schemas"]["ActionRef"];
+            cause: components["schemas"]["Cause"];
+            /**
+             * Contract
+             * @default 1
+             * @constant
+             */
+            contract: 1;
+            /** Files */
+            files: components["schemas"]["FileRead"][];
+            mission: components["schemas"]["MissionRead"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /** Recordings */
+            recordings: components["schemas"]["RecordingRead"][];
+            /** Run Id */
+            run_id: string | null;
+            /** Topics */
+            topics: components["schemas"]["TopicRead"][];
+        };
+        /**
+         * RunDetail
+         * @description A run with all that fits one answer. `problems` say what of its words or files could not be taken.
+         *
+         *     `metadata` is what it proposes for the mission. `samples` are thinned out: at most 720.
+         */
+        RunDetail: {
+            action: components["schemas"]["ActionRef"];
+            /** Artifact Count */
+            artifact_count: number;
+            /** Attempt */
+            attempt: number;
+            /** Cancel Requested At */
+            cancel_requested_at: string | null;
+            cause: components["schemas"]["Cause"];
+            /** Claimed At */
+            claimed_at: string | null;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            definition: components["schemas"]["ActionDefinition"];
+            /** Ended At */
+            ended_at: string | null;
+            /** Exit Code */
+            exit_code: number | null;
+            /** Finding Counts */
+            finding_counts: {
+                [key: string]: number;
+            };
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Image Digest */
+            image_digest: string | null;
+            /** Input Bytes */
+            input_bytes: number;
+            /** Input Count */
+            input_count: number;
+            /** May Cancel */
+            may_cancel: boolean;
+            /** Message */
+            message: string;
+            /** Metadata */
+            metadata: {
+                [key: string]: components["schemas"]["JsonValue"];
+            };
+            /** Metric Count */
+            metric_count: number;
+            mission: components["schemas"]["MissionRef"];
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /** Previews */
+            previews: components["schemas"]["Preview"][];
+            /** Problems */
+            problems: string[];
+            progress: components["schemas"]["Progress"] | null;
+            reason: components["schemas"]["EndReason"] | null;
+            /** Reuses Id */
+            reuses_id: string | null;
+            /** Runner */
+            runner: string | null;
+            /** Samples */
+            samples: components["schemas"]["Sample"][];
+            /** Started At */
+            started_at: string | null;
+            state: components["schemas"]["RunState"];
+            usage: components["schemas"]["Usage"] | null;
+            /**
+             * Version Id
+             * Format: uuid
+             */
+            version_id: string;
+            /** Waits For */
+            waits_for: string | null;
+        };
+        /**
+         * RunFinish
+         * @description How a run ended, once all that it left is uploaded. Said again, the same answer comes.
+         */
+        RunFinish: {
+            /** Attempt */
+            attempt: number;
+            /** Exit Code */
+            exit_code?: number | null;
+            /** Message */
+            message: string;
+            /**
+             * Problems
+             * @default []
+             */
+            problems: string[];
+            reason: components["schemas"]["EndReason"];
+            /**
+             * @default {
+             *       "findings": [],
+             *       "metadata": {},
+             *       "metrics": [],
+             *       "previews": [],
+             *       "put_back": []
+             *     }
+             */
+            report: components["schemas"]["Report"];
+            /**
+             * Samples
+             * @default []
+             */
+            samples: components["schemas"]["Sample"][];
+            usage?: components["schemas"]["Usage"] | null;
+        };
+        /**
+         * RunFinished
+         * @description What became of the run.
+         */
+        RunFinished: {
+            state: components["schemas"]["RunState"];
+        };
+        /**
+         * RunInput
+         * @description A file that a run was given, as it was then. `file_id` is null where it is no longer there.
+         */
+        RunInput: {
+            /** File Id */
+            file_id: string | null;
+            /** Path */
+            path: string;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * RunMade
+         * @description A run that was made; one that reuses results is over already.
+         */
+        RunMade: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            outcome: "made";
+            run: components["schemas"]["RunRead"];
+        };
+        /**
+         * RunnerHello
+         * @description A runner says what it is, whenever it starts. `id` is its own for good: it keeps it in its folder.
+         *
+         *     `stock_image` is the digest of the image that it runs scripts on; null where it has none.
+         */
+        RunnerHello: {
+            abilities: components["schemas"]["Abilities"];
+            capacity: components["schemas"]["Capacity"];
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /**
+             * Labels
+             * @default []
+             */
+            labels: string[];
+            /** Name */
+            name: string;
+            /** Stock Image */
+            stock_image?: string | null;
+            /** Version */
+            version: string;
+        };
+        /**
+         * RunnerRead
+         * @description A runner, as admins see it.
+         */
+        RunnerRead: {
+            abilities: components["schemas"]["Abilities"];
+            /** Active Runs */
+            active_runs: number;
+            capacity: components["schemas"]["Capacity"];
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Is Alive */
+            is_alive: boolean;
+            /** Labels */
+            labels: string[];
+            /**
+             * Last Seen At
+             * Format: date-time
+             */
+            last_seen_at: string;
+            /** Name */
+            name: string;
+            /** Stock Image */
+            stock_image: string | null;
+            /** Version */
+            version: string;
+        };
+        /**
+         * RunRead
+         * @description A run.
+         *
+         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
+         *     image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
+         *     `may_cancel`: the asker may, and it is not over.
+         */
+        RunRead: {
+            action: components["schemas"]["ActionRef"];
+            /** Artifact Count */
+            artifact_count: number;
+            /** Attempt */
+            attempt: number;
+            /** Cancel Requested At */
+            cancel_requested_at: string | null;
+            cause: components["schemas"]["Cause"];
+            /** Claimed At */
+            claimed_at: string | null;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            /** Ended At */
+            ended_at: string | null;
+            /** Exit Code */
+            exit_code: number | null;
+            /** Finding Counts */
+            finding_counts: {
+                [key: string]: number;
+            };
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Image Digest */
+            image_digest: string | null;
+            /** Input Bytes */
+            input_bytes: number;
+            /** Input Count */
+            input_count: number;
+            /** May Cancel */
+            may_cancel: boolean;
+            /** Message */
+            message: string;
+            /** Metric Count */
+            metric_count: number;
+            mission: components["schemas"]["MissionRef"];
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            progress: components["schemas"]["Progress"] | null;
+            reason: components["schemas"]["EndReason"] | null;
+            /** Reuses Id */
+            reuses_id: string | null;
+            /** Runner */
+            runner: string | null;
+            /** Started At */
+            started_at: string | null;
+            state: components["schemas"]["RunState"];
+            usage: components["schemas"]["Usage"] | null;
+            /**
+             * Version Id
+             * Format: uuid
+             */
+            version_id: string;
+            /** Waits For */
+            waits_for: string | null;
+        };
+        /**
+         * RunRefused
+         * @description Why no run was made on a mission; those on the others were.
+         */
+        RunRefused: {
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            outcome: "refused";
+            problem: components["schemas"]["ProblemDocument"];
+        };
+        /**
+         * RunsCreate
+         * @description An action to run on each of some missions: a published one by its id, in its latest version unless another is
+         *     named; or as a definition, which is then run without being published.
+         *
+         *     Results of an earlier good run of the very same (version, image, parameters, inputs) are reused unless `force`.
+         */
+        RunsCreate: {
+            /** Action Id */
+            action_id?: string | null;
+            definition?: components["schemas"]["ActionDefinition"] | null;
+            /**
+             * Force
+             * @default false
+             */
+            force: boolean;
+            /** Mission Ids */
+            mission_ids: string[];
+            /**
+             * Parameters
+             * @default {}
+             */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /** Version */
+            version?: number | null;
+        };
+        /**
+         * RunsMade
+         * @description One outcome a mission, in the order asked.
+         */
+        RunsMade: {
+            /** Items */
+            items: (components["schemas"]["RunMade"] | components["schemas"]["RunRefused"])[];
+        };
+        /**
+         * RunState
+         * @description Where a run is. `preparing` fetches image and inputs, `collecting` keeps what it left; three are ends.
+         * @enum {string}
+         */
+        RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
+        /**
+         * Sample
+         * @description What a run used at some moment, `at_s` after its container was started.
+         */
+        Sample: {
+            /** At S */
+            at_s: number;
+            usage: components["schemas"]["Usage"];
+        };
         /**
          * Scope
          * @description What a token may be used for, within what its person may do.
@@ -3860,6 +5497,48 @@ export interface components {
             /** Query */
             query: string;
             topics: components["schemas"]["Page_TopicFound_"];
+        };
+        /**
+         * SegmentAsk
+         * @description A piece of the log about to be stored: where it begins in the log, its size, and its checksums.
+         */
+        SegmentAsk: {
+            /** Attempt */
+            attempt: number;
+            /** Crc64Nvme */
+            crc64nvme: string;
+            /** Md5 */
+            md5: string;
+            /** Offset */
+            offset: number;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * SegmentKept
+         * @description A piece of the log that was stored: from now on people see it.
+         */
+        SegmentKept: {
+            /** Attempt */
+            attempt: number;
+            /** Offset */
+            offset: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * SegmentPut
+         * @description PUT the piece's bytes to `url` with exactly these headers, then say so.
+         */
+        SegmentPut: {
+            /** Headers */
+            headers: {
+                [key: string]: string;
+            };
+            /** Url */
+            url: string;
         };
         /**
          * Send
@@ -3946,6 +5625,12 @@ export interface components {
             /** Value */
             value: unknown;
         };
+        /**
+         * Severity
+         * @description How bad a finding is.
+         * @enum {string}
+         */
+        Severity: "info" | "warning" | "error";
         /**
          * ShareCreate
          * @description A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later.
@@ -4206,10 +5891,10 @@ export interface components {
         };
         /**
          * TokenKind
-         * @description Who carries a token: a person's script, a robot, or a runner of actions.
+         * @description Who carries a token: a person's script, a robot, a runner of actions, or one run while it lasts.
          * @enum {string}
          */
-        TokenKind: "personal" | "robot" | "runner";
+        TokenKind: "personal" | "robot" | "runner" | "run";
         /**
          * TokenMade
          * @description A new token with its secret, which nobody can show again.
@@ -4510,6 +6195,35 @@ export interface components {
          */
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";
         /**
+         * Usage
+         * @description What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen.
+         */
+        Usage: {
+            /** Cpu S */
+            cpu_s: number;
+            /** Memory Bytes */
+            memory_bytes: number;
+            /** Peak Memory Bytes */
+            peak_memory_bytes: number;
+            /** Read Bytes */
+            read_bytes: number;
+            /** Written Bytes */
+            written_bytes: number;
+        };
+        /**
+         * Verdict
+         * @description What becomes of a run: it goes on, it is to be ended because somebody says so, or it is not this runner's.
+         * @enum {string}
+         */
+        Verdict: "go_on" | "cancel" | "gone";
+        /**
+         * VersionCreate
+         * @description A further version of an action; its name stays.
+         */
+        VersionCreate: {
+            definition: components["schemas"]["ActionDefinition"];
+        };
+        /**
          * ViewerRead
          * @description A page elsewhere that shows a recording; `{url}` in its `url` is replaced by the recording's, percent-encoded.
          */
@@ -4528,6 +6242,515 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    list_actions: {
+        parameters: {
+            query?: {
+                archived?: boolean | null;
+                cursor?: string | null;
+                limit?: number;
+                name?: string | null;
+                project_id?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_ActionRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ActionCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: name_taken. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    update_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ActionUpdate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: name_taken. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_action_versions: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                action_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_ActionVersionRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    publish_action_version: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["VersionCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     get_admin_health: {
         parameters: {
             query?: never;
@@ -5022,7 +7245,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Claim"];
+                "application/json": components["schemas"]["Claim-Input"];
             };
         };
         responses: {
@@ -7224,6 +9447,82 @@ export interface operations {
             };
         };
     };
+    get_lineage: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LineageRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     prove_file: {
         parameters: {
             query?: never;
@@ -7552,6 +9851,89 @@ export interface operations {
                 };
             };
             /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_findings: {
+        parameters: {
+            query?: {
+                code?: string | null;
+                count?: boolean;
+                cursor?: string | null;
+                limit?: number;
+                mission_id?: string | null;
+                project_id?: string | null;
+                run_id?: string | null;
+                severity?: components["schemas"]["Severity"][];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_FindingRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -11991,6 +14373,1680 @@ export interface operations {
             };
             /** @description A failure, by its code: not_found. */
             404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_run_metrics: {
+        parameters: {
+            query?: {
+                code?: string | null;
+                count?: boolean;
+                cursor?: string | null;
+                limit?: number;
+                mission_id?: string | null;
+                project_id?: string | null;
+                run_id?: string | null;
+                severity?: components["schemas"]["Severity"][];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_MetricRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_run_context: {
+        parameters: {
+            query: {
+                attempt: number;
+            };
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunContext"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    finish_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunFinish"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunFinished"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    sign_inputs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["InputsAsk"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["InputUrls"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    keep_log_segment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["SegmentKept"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    sign_log_segment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["SegmentAsk"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SegmentPut"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    begin_artifacts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ArtifactsBegin"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UploadDecisions"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: run_gone. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable, store_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_runners: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_RunnerRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    say_hello: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunnerHello"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunnerRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    beat: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                runner_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["Beats"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["BeatAnswers"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    claim_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                runner_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ClaimAsk"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Claimed"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_runs: {
+        parameters: {
+            query?: {
+                action?: string | null;
+                action_id?: string | null;
+                active?: boolean | null;
+                count?: boolean;
+                cursor?: string | null;
+                limit?: number;
+                mine?: boolean;
+                mission_id?: string | null;
+                project_id?: string | null;
+                state?: components["schemas"]["RunState"][];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_RunRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_runs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunsCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunsMade"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunDetail"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_artifacts: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_ArtifactRead_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    download_artifacts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ArtifactsWanted"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ArtifactUrls"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: file_unavailable. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    cancel_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_run_inputs: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_RunInput_"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_cursor, invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_run_log: {
+        parameters: {
+            query?: {
+                offset?: number;
+                wait_s?: number;
+            };
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LogPiece"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable, store_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    retry_run: {
+        parameters: {
+            query?: {
+                force?: boolean;
+            };
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: no_inputs, file_unavailable. */
+            409: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -24,6 +24,7 @@ class Need:
     """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
 
     `runners`: also of a runner, for the runs that it holds, whatever its scopes; `only_runners`: of nobody else.
+    `reads`: a token must carry the scope read as well.
     `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
     `boundless`: only by a credential without limits, since it is about all that its person has.
     """
@@ -34,6 +35,7 @@ class Need:
     guests: bool = False
     runners: bool = False
     only_runners: bool = False
+    reads: bool = False
     browsers: bool = False
     boundless: bool = False
 
@@ -111,11 +113,11 @@ OPERATIONS: dict[str, Need] = {
     "list_action_versions": Need(On.project, Right.read, _READ),
     "publish_action_version": Need(On.project, Right.write, _WRITE),
     # Runs. To start one takes what its action asks for too; to cancel another's takes DELETE.
-    "create_runs": Need(On.mission, Right.create, _RUN),
+    "create_runs": Need(On.mission, Right.create, _RUN, reads=True),
     "list_runs": _seen(guests=False),
     "get_run": Need(On.mission, Right.read, _READ),
-    "cancel_run": Need(On.mission, Right.create, _RUN),
-    "retry_run": Need(On.mission, Right.create, _RUN),
+    "cancel_run": Need(On.mission, Right.create, _RUN, reads=True),
+    "retry_run": Need(On.mission, Right.create, _RUN, reads=True),
     "list_run_inputs": Need(On.mission, Right.read, _READ),
     "list_artifacts": Need(On.mission, Right.read, _READ),
     "download_artifacts": Need(On.mission, Right.read, _READ),

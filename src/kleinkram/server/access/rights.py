@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy import Row, Select, func, select
 
 from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing
-from kleinkram.contract.rights import Right
+from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
@@ -36,6 +36,8 @@ def admit(actor: Actor, operation: str) -> None:
         raise ScopeMissing(operation=_words(operation), scopes="a runner's token")
     if not need.scopes & actor.scopes and actor.kind is not ActorKind.runner:
         raise ScopeMissing(operation=_words(operation), scopes=" or ".join(sorted(need.scopes)))
+    if need.reads and Scope.read not in actor.scopes:
+        raise ScopeMissing(operation=_words(operation), scopes=f"read and {' or '.join(sorted(need.scopes))}")
     if need.browsers and actor.session_id is None:
         raise ScopeMissing(operation=_words(operation), scopes="a browser that is signed in")
     if need.on is On.server and not actor.is_admin:

@@ -10,7 +10,7 @@ from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import Finding, Metric
+from kleinkram.contract.reports import Finding, Metric, Severity
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.runs import (
     ActionRef,
@@ -227,7 +227,7 @@ def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[An
 def to_finding(row: Row[Any]) -> FindingRead:
     """Return the finding that a row of `findings` stands for."""
     said = Finding.model_construct(
-        severity=row.said_severity,
+        severity=Severity(row.said_severity),
         code=row.said_code,
         message=row.said_message,
         file=row.said_file,

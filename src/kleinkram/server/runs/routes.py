@@ -71,7 +71,7 @@ class ArtifactUrls(BaseModel):
     items: list[ArtifactUrl]
 
 
-@router.post("/runs", operation_id="create_runs", status_code=201)
+@router.post("/runs", operation_id="create_runs")
 async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsMade:
     """Run an action on each of some missions; says for each mission whether there is a run."""
     return await launching.launch(db, actor, wanted=wanted)

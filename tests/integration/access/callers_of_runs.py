@@ -1,0 +1,105 @@
+"""How each operation on actions, runs and runners is called in the matrix."""
+
+import uuid
+from typing import Any
+
+from tests.integration.access.calling import Caller, get, has_items, lists, new_name, patch, post
+from tests.integration.access.expecting import About
+from tests.integration.access.world import ACTION, Asker
+
+_DELETE = 4
+_NOBODY = "00000000-0000-0000-0000-000000000001"
+_FREE = {"cores": 1, "memory_bytes": 1, "disk_bytes": 1, "gpus": 0}
+_SUMS = {"sha256": "0" * 64, "crc64nvme": "0" * 16, "md5": "0" * 32}
+
+
+def _hello(_: Asker) -> Any:
+    abilities = {"executor": "process", "isolation": "none", "images": False, "networks": [], "gpus": False}
+    return {
+        "id": str(uuid.uuid4()),
+        "name": "runner",
+        "capacity": _FREE,
+        "abilities": abilities | {"bounds_memory": False, "bounds_disk": False},
+        "version": "0",
+    }
+
+
+def _launch(by: Asker) -> Any:
+    return {"mission_ids": [by.things.mission], "definition": ACTION, "force": True}
+
+
+def _launched(answer: Any) -> int:
+    item = answer["items"][0]
+    return 200 if item["outcome"] == "made" else int(item["problem"]["status"])
+
+
+def _segment(**more: Any) -> Any:
+    return {"attempt": 1, "offset": 0, "size_bytes": 1, **more}
+
+
+OF_RUNS: dict[str, tuple[Caller, ...]] = {
+    "list_actions": (Caller(get("/actions", project_id="{project}"), About.project, shows=lists("action")),),
+    "create_action": (
+        Caller(
+            post("/actions", lambda by: {"project_id": by.things.project, "definition": ACTION | {"name": new_name()}}),
+            About.project,
+        ),
+    ),
+    "get_action": (Caller(get("/actions/{action}"), About.project),),
+    "update_action": (Caller(patch("/actions/{action}", lambda _: {"archived": False}), About.project),),
+    "list_action_versions": (Caller(get("/actions/{action}/versions"), About.project),),
+    "publish_action_version": (
+        Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), About.project),
+    ),
+    "create_runs": (Caller(post("/runs", _launch), About.mission, outcome=_launched),),
+    "list_runs": (Caller(get("/runs", mission_id="{mission}", limit="500"), About.mission, shows=lists("run")),),
+    "get_run": (Caller(get("/runs/{run}"), About.mission),),
+    # It is another's.
+    "cancel_run": (Caller(post("/runs/{run}/cancel"), About.mission, needs=_DELETE),),
+    "retry_run": (Caller(post("/runs/{run}/retry"), About.mission),),
+    "list_run_inputs": (Caller(get("/runs/{run}/inputs"), About.mission),),
+    "list_artifacts": (Caller(get("/runs/{run}/artifacts"), About.mission),),
+    "download_artifacts": (
+        Caller(
+            post("/runs/{run}/artifacts/download", lambda by: {"artifact_ids": [by.things.artifact]}), About.mission
+        ),
+    ),
+    "get_run_log": (Caller(get("/runs/{run}/log"), About.mission),),
+    "list_findings": (Caller(get("/findings", mission_id="{mission}"), About.mission, shows=has_items),),
+    "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), About.mission, shows=has_items),),
+    "get_lineage": (Caller(get("/files/{file}/lineage"), About.file),),
+    "list_runners": (Caller(get("/runners"), About.server),),
+    "say_hello": (Caller(post("/runners", _hello), About.server),),
+    "claim_run": (
+        Caller(post(f"/runners/{_NOBODY}/claims", lambda _: {"free": _FREE}), About.server, passes="not_found"),
+    ),
+    "beat": (Caller(post(f"/runners/{_NOBODY}/beats", lambda _: {"runs": []}), About.server, passes="not_found"),),
+    "get_run_context": (Caller(get("/runner/runs/{run}/context", attempt="1"), About.server, passes="run_gone"),),
+    "sign_inputs": (
+        Caller(
+            post("/runner/runs/{run}/inputs", lambda _: {"attempt": 1, "paths": ["one.mcap"]}),
+            About.server,
+            passes="run_gone",
+        ),
+    ),
+    "sign_log_segment": (
+        Caller(post("/runner/runs/{run}/log/sign", lambda _: _segment(**_SUMS)), About.server, passes="run_gone"),
+    ),
+    "keep_log_segment": (
+        Caller(post("/runner/runs/{run}/log/kept", lambda _: _segment()), About.server, passes="run_gone"),
+    ),
+    "begin_artifacts": (
+        Caller(
+            post("/runner/runs/{run}/uploads", lambda _: {"attempt": 1, "files": [{"path": "a", "size_bytes": 1}]}),
+            About.server,
+            passes="run_gone",
+        ),
+    ),
+    "finish_run": (
+        Caller(
+            post("/runner/runs/{run}/finish", lambda _: {"attempt": 1, "reason": "done", "message": ""}),
+            About.server,
+            passes="run_gone",
+        ),
+    ),
+}
