@@ -2,11 +2,12 @@
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.acceptance.conftest import KLEIN, wait_until
+from tests.acceptance.conftest import KLEIN, Terminal, wait_until
 from tests.system.house import House
 from tests.system.web.conftest import Act
 
@@ -17,7 +18,18 @@ _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
 @pytest.mark.timeout(280)
 def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
     house.start()
-    terminal = house.terminal
+    sources = _filled(house.terminal, tmp_path)
+
+    seen = act("search.mjs", house, pictures)
+
+    _see_what_was_found(seen)
+    _see_what_was_shared(seen, house.terminal)
+    fetched = _fetched(seen, house.terminal, tmp_path)
+    assert fetched == {f"Alps/{each}/drive.mcap": sources[each] for each in ("traverse", _MARKUP)}, "of one path in two"
+
+
+def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
+    """Three missions in two projects; returns what the recording of each is made of."""
     sources: dict[str, bytes] = {}
     for seed, (project, mission) in enumerate([("Alps", "traverse"), ("Alps", _MARKUP), ("Lakes", "night")]):
         folder = tmp_path / f"from-{seed}"
@@ -35,9 +47,10 @@ def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Pa
 
     wait_until(lambda: "pending" not in contents(), "the files to be read")
     wait_until(lambda: contents().count("indexed") == len(sources), "the recordings to be known")
+    return sources
 
-    seen = act("search.mjs", house, pictures)
 
+def _see_what_was_found(seen: dict[str, Any]) -> None:
     assert seen["complaints"] == []
     assert seen["axe"] == []
     assert seen["wide"] == []
@@ -54,6 +67,9 @@ def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Pa
     assert seen["wrong"]["mark"] == "size:big"
     assert "column 6" in seen["wrong"]["told"]
     assert seen["wrong"]["rows"] == 2, "what was found before stays in sight"
+
+
+def _see_what_was_shared(seen: dict[str, Any], terminal: Terminal) -> None:
     assert [row.split("\n")[0] for row in seen["markup"]["rows"]] == [_MARKUP]
     assert seen["markup"]["elements"] == 0
     assert 'mission:"Wet *" topic:/imu/data' in seen["topic"]
@@ -68,11 +84,13 @@ def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Pa
     assert {row.split("\n")[-1] for row in seen["publicRows"]} == {"Lakes / night"}
     assert seen["publicBoxes"] == 0, "nothing is to be chosen by people without an account"
 
+
+def _fetched(seen: dict[str, Any], terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
+    """What the script that was downloaded downloads."""
     assert seen["amount"].startswith("2 files, ")
     script = tmp_path / "download.sh"
     script.write_text(seen["script"])
     path = f"{KLEIN.parent}:{terminal.environment['PATH']}"
     fetched = tmp_path / "fetched"
     subprocess.run(["sh", script, fetched], check=True, env={**terminal.environment, "PATH": path}, timeout=60)
-    found = {path.relative_to(fetched).as_posix(): path.read_bytes() for path in fetched.rglob("*") if path.is_file()}
-    assert found == {f"Alps/{each}/drive.mcap": sources[each] for each in ("traverse", _MARKUP)}, "of one path in two"
+    return {path.relative_to(fetched).as_posix(): path.read_bytes() for path in fetched.rglob("*") if path.is_file()}

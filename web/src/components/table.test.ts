@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { afterClick, columnsFor, drawnAfter, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
+import { afterClick, columnsFor, drawnAfter, inSight, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
 
 const columns = [
   { key: "name", title: "Name", sort: "name" },
@@ -61,6 +61,21 @@ describe("places of drawn rows", () => {
     const more = placesOf([7, 1, 2, 3, 4, 5], placesOf([0, 1, 2], new Map()));
     expect(new Set(more.values()).size).toBe(6);
     expect([more.get(1), more.get(2)]).toEqual([1, 2]);
+  });
+});
+
+describe("rows in sight", () => {
+  it("are those of which something is seen, and four more on both sides", () => {
+    expect(inSight(1000, 95, 10, 1000, 100)).toEqual(Array.from({ length: 18 }, (_, at) => 96 + at));
+  });
+  it("end with the table", () => {
+    expect(inSight(-300, 400, 100, 3, 0)).toEqual([0, 1, 2]);
+    expect(inSight(5000, 400, 100, 3, 0)).toEqual([0, 2]);
+    expect(inSight(0, 400, 100, 0, 0)).toEqual([]);
+  });
+  it("have the one with the focus among them, wherever it is", () => {
+    expect(inSight(1000, 10, 10, 1000, 2)[0]).toBe(2);
+    expect(inSight(1000, 10, 10, 1000, 900).at(-1)).toBe(900);
   });
 });
 

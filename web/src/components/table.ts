@@ -14,6 +14,7 @@ export interface Column<Row> {
   readonly text?: (row: Row) => string;
 }
 
+const OVERSCAN = 4;
 const WIDTHS = { tablet: 560, desktop: 900 } as const;
 
 /** Returns the columns that a table of some width shows. */
@@ -70,6 +71,17 @@ export function afterClick(
     else result.delete(each);
   }
   return result;
+}
+
+/** Returns the rows of which something is to be seen from `top` on, some on both sides of these, and the one that is kept. */
+export function inSight(top: number, height: number, rowHeight: number, count: number, kept: number): readonly number[] {
+  const last = Math.min(count - 1, Math.ceil((top + height) / rowHeight) - 1 + OVERSCAN);
+  const first = Math.max(0, Math.min(last, Math.floor(top / rowHeight) - OVERSCAN));
+  const rows: number[] = [];
+  if (kept < first && kept < count) rows.push(kept);
+  for (let index = first; index <= last; index += 1) rows.push(index);
+  if (kept > last && kept < count) rows.push(kept);
+  return rows;
 }
 
 /**

@@ -1,18 +1,22 @@
 // Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
 // When many come into sight at once, as beneath a scroll bar that is pulled, each frame draws some: none takes long.
-import { defaultRangeExtractor, type Range, useVirtualizer, useWindowVirtualizer } from "@tanstack/vue-virtual";
-import { computed, type ComputedRef, onMounted, onScopeDispose, ref, type Ref, shallowRef, watch } from "vue";
-import { drawnAfter } from "./table";
+// While it scrolls no element changes its place among its siblings, which would cost more than all else.
+import { onMounted, onScopeDispose, readonly, ref, type Ref, shallowRef, watch } from "vue";
+import { drawnAfter, inSight } from "./table";
 
-const OVERSCAN = 4;
-const MOST_A_FRAME = 10;
+const MOST_A_FRAME = 6;
+const REST_MS = 150;
+/** What the head of a table covers of the rows beneath it. */
+const HEAD = 37;
 
 export interface VirtualRows {
   /** The rows that are drawn: those in sight, and at times some that went, in whose place one is drawn soon. */
   readonly drawn: Readonly<Ref<readonly number[]>>;
-  readonly total: ComputedRef<number>;
+  /** Whether it scrolls: what is drawn need not stand in order in the document then. */
+  readonly isMoving: Readonly<Ref<boolean>>;
   readonly reveal: (index: number) => void;
-  readonly width: Ref<number>;
+  readonly rest: () => void;
+  readonly width: Readonly<Ref<number>>;
 }
 
 export interface VirtualOptions {
@@ -21,67 +25,79 @@ export interface VirtualOptions {
   readonly count: () => number;
   /** A row that stays drawn out of sight, since it has the focus. */
   readonly kept: () => number;
-  readonly rowHeight: number;
+  readonly rowHeight: () => number;
   readonly isOwnScroller: boolean;
 }
 
 /** Returns the rows in sight. */
-export function useVirtualRows(options: VirtualOptions): VirtualRows {
-  const margin = ref(0);
+export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnScroller }: VirtualOptions): VirtualRows {
   const width = ref(1024);
-
-  function rangeWithKept(range: Range): number[] {
-    const inSight = defaultRangeExtractor(range);
-    const kept = options.kept();
-    if (kept >= range.count || inSight.includes(kept)) return inSight;
-    return kept < range.startIndex ? [kept, ...inSight] : [...inSight, kept];
-  }
-
-  const common = () => ({
-    count: options.count(),
-    estimateSize: () => options.rowHeight,
-    overscan: OVERSCAN,
-    rangeExtractor: rangeWithKept,
-  });
-  const virtualizer = options.isOwnScroller
-    ? useVirtualizer(computed(() => ({ ...common(), getScrollElement: () => options.scroller.value })))
-    : useWindowVirtualizer(computed(() => ({ ...common(), scrollMargin: margin.value })));
-
-  function measure(): void {
-    const body = options.body.value;
-    if (body === null) return;
-    width.value = body.clientWidth;
-    margin.value = options.isOwnScroller ? 0 : body.getBoundingClientRect().top + window.scrollY;
-  }
-
-  const wanted = computed(() => virtualizer.value.getVirtualItems().map(({ index }) => index));
   const drawn = shallowRef<readonly number[]>([]);
+  const isMoving = ref(false);
+  let margin = 0;
   let frame: number | null = null;
+  let resting: ReturnType<typeof setTimeout> | undefined;
+
+  const moving = () => (isOwnScroller ? scroller.value : document.documentElement);
+  const seen = () => ({ top: (moving()?.scrollTop ?? 0) - margin, height: moving()?.clientHeight ?? window.innerHeight });
 
   function draw(): void {
-    drawn.value = drawnAfter(drawn.value, wanted.value, options.kept(), MOST_A_FRAME);
-    const isWhole = wanted.value.every((index) => drawn.value.includes(index));
-    frame = isWhole ? null : requestAnimationFrame(draw);
+    const { top, height } = seen();
+    const wanted = inSight(top, height, rowHeight(), count(), kept());
+    drawn.value = drawnAfter(drawn.value, wanted, kept(), MOST_A_FRAME);
+    const there = new Set(drawn.value);
+    frame = wanted.every((index) => there.has(index)) ? null : requestAnimationFrame(draw);
   }
 
-  watch(wanted, () => {
-    if (drawn.value.length === 0) draw();
-    else frame ??= requestAnimationFrame(draw); // what scrolls is told before that, in the same frame: nothing comes later
-  }, { immediate: true });
-  onScopeDispose(() => { if (frame !== null) cancelAnimationFrame(frame); });
+  function follow(): void {
+    frame ??= requestAnimationFrame(draw); // what scrolls is told before that, in the same frame: nothing comes later
+  }
+
+  function rest(): void {
+    clearTimeout(resting);
+    isMoving.value = false;
+  }
+
+  function onScroll(): void {
+    follow();
+    isMoving.value = true;
+    clearTimeout(resting);
+    resting = setTimeout(rest, REST_MS);
+  }
+
+  function measure(): void {
+    const [element, outer] = [body.value, moving()];
+    if (element === null || outer === null) return;
+    width.value = element.clientWidth;
+    const edge = isOwnScroller ? outer.getBoundingClientRect().top : 0;
+    margin = element.getBoundingClientRect().top - edge + outer.scrollTop;
+    follow();
+  }
+
+  function reveal(index: number): void {
+    const { top, height } = seen();
+    const [from, to] = [index * rowHeight(), (index + 1) * rowHeight()];
+    const by = from < top + HEAD ? from - top - HEAD : Math.max(0, to - top - height);
+    if (by !== 0) moving()?.scrollBy({ top: by });
+  }
 
   const observer = new ResizeObserver(measure);
+  let heard: HTMLElement | Window | null = null;
   onMounted(() => {
+    heard = isOwnScroller ? scroller.value : window;
+    heard?.addEventListener("scroll", onScroll, { passive: true });
     measure();
     observer.observe(document.body); // what stands above the table pushes it
-    if (options.body.value !== null) observer.observe(options.body.value);
+    if (body.value !== null) observer.observe(body.value);
   });
-  onScopeDispose(() => observer.disconnect());
+  onScopeDispose(() => {
+    heard?.removeEventListener("scroll", onScroll);
+    observer.disconnect();
+    clearTimeout(resting);
+    if (frame !== null) cancelAnimationFrame(frame);
+  });
+  watch([count, kept, rowHeight], follow);
+  draw();
 
-  return {
-    drawn,
-    total: computed(() => virtualizer.value.getTotalSize()),
-    reveal: (index) => virtualizer.value.scrollToIndex(index, { align: "auto" }),
-    width,
-  };
+  return { drawn, isMoving: readonly(isMoving), reveal, rest, width: readonly(width) };
 }

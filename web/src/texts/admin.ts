@@ -50,7 +50,7 @@ export const texts = {
     },
     workers: (count: number) => counted(count, "worker"),
     noWorkers: "None is heard of: nothing is read, proven or swept. See that one runs.",
-    heard: "last heard of",
+    heard: (count: number) => (count === 1 ? "last heard of" : "the quietest last heard of"),
     yes: "Yes",
     no: "No",
     seconds: (value: number) => `${value.toFixed(2)} s`,

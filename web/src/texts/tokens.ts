@@ -13,6 +13,7 @@ const kinds: Readonly<Record<TokenKind, Named>> = {
   personal: { label: "Personal", why: "For a script or a notebook of yours: reaches what you reach, or less." },
   robot: { label: "Robot", why: "For a robot, a logger or a CI job: reaches only the projects and missions that you name." },
   runner: { label: "Runner", why: "For a runner of actions: claims runs and reports on them, nothing else. Admins make these." },
+  run: { label: "Of one run", why: "Made for a run by the server; ends with it." },
 };
 
 const scopes: Readonly<Record<Scope, Named>> = {

@@ -2,11 +2,12 @@
 import type { Scope, TokenCreate, TokenKind } from "./queries";
 import type { Token } from "@/api/types";
 
-const USUAL: Readonly<Record<TokenKind, readonly Scope[]>> = { personal: ["write"], robot: ["upload"], runner: ["run"] };
+const USUAL: Readonly<Record<TokenKind, readonly Scope[]>> = { personal: ["write"], robot: ["upload"], runner: ["run"], run: [] };
 const OFFERED: Readonly<Record<TokenKind, readonly Scope[]>> = {
   personal: ["read", "upload", "write", "run", "admin"],
   robot: ["read", "upload", "write", "run"],
   runner: ["run"],
+  run: [], // made by the server alone
 };
 const CONTAINED: Readonly<Partial<Record<Scope, readonly Scope[]>>> = {
   write: ["read", "upload"],
