@@ -1,7 +1,9 @@
-"""Runs on this machine, by every executor that it has."""
+"""Runs on this machine, by every executor that there is."""
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -11,39 +13,55 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
+from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.process.executor import ProcessExecutor
-from kleinkram.runner.work import Ending, Executor, Work
+from kleinkram.runner.work import Door, Ending, Executor, Work
+from tests.integration.runner import engines
+from tests.integration.runner.engines import Dockerd
 
 
 @dataclass
 class Bench:
-    """Makes runs of Python text, each in a folder of its own, and forgets them afterwards."""
+    """Makes runs of Python text, each in a folder of its own, and forgets them afterwards.
+
+    `machine` is where a run with an open network finds the machine of its runner.
+    """
 
     executor: Executor
     folder: Path
     again: Callable[[], Executor]
+    image: str | None = None
+    python: str = sys.executable
+    machine: str = "127.0.0.1"
     made: list[Work] = field(default_factory=list)
 
-    def work(self, text: str | Sequence[str], *, network: Network | None = None, **resources: int) -> Work:
+    def work(
+        self,
+        text: str | Sequence[str],
+        *,
+        network: Network | None = None,
+        doors: Sequence[Door] = (),
+        **resources: int,
+    ) -> Work:
         """Return a run that is not started yet; without network, where the executor can keep it from one."""
         usual = Network.none if Network.none in self.executor.abilities.networks else Network.open
         folder = self.folder / f"run-{len(self.made)}"
         (folder / "in").mkdir(parents=True)
-        command = [sys.executable, "-c", text] if isinstance(text, str) else list(text)
         work = Work(
             key=f"{folder.name}-{uuid.uuid4().hex}",
             folder=folder,
-            command=command,
-            image=None,
+            command=[self.python, "-c", text] if isinstance(text, str) else list(text),
+            image=self.image,
             resources=Resources.model_validate({"memory_bytes": 500_000_000, "time_s": 30, **resources}),
             network=network or usual,
+            doors=tuple(doors),
         )
         self.made.append(work)
         return work
 
     def run(self, text: str | Sequence[str], **resources: int) -> tuple[Work, Ending]:
         """Start a run and wait for its end."""
-        work = self.work(text, network=None, **resources)
+        work = self.work(text, network=None, doors=(), **resources)
         self.executor.start(work)
         return work, self.end_of(work)
 
@@ -53,16 +71,55 @@ class Bench:
         assert ending is not None, "it goes on"
         return ending
 
+    def with_image(self, image: str) -> Bench:
+        """Return the same with another image, forgetting together."""
+        return dataclasses.replace(self, image=image)
+
 
 def log_of(work: Work) -> str:
     """Return what a run wrote."""
-    return (work.folder / "log").read_text()
+    path = work.folder / "log"
+    return path.read_text() if path.exists() else ""
 
 
-@pytest.fixture(params=[ProcessExecutor])
+def missing(what: str) -> None:
+    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
+    if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
+        pytest.fail(what)
+    pytest.skip(what)
+
+
+@pytest.fixture(scope="session")
+def docker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dockerd]:
+    """A Docker of the tests' own, with an image of this Python."""
+    if os.geteuid() != 0:
+        missing("a Docker of the tests' own needs root")
+    if wanted := engines.missing_programs():
+        missing(f"not installed: {', '.join(wanted)} (Debian): KLEINKRAM_TEST_INSTALL=1 installs them")
+    with engines.bridge() as (name, gateway):
+        engine = Dockerd(tmp_path_factory.mktemp("docker"), name, gateway)
+        engine.start()
+        try:
+            engine.load(engines.IMAGE, root=engines.python_root())
+            yield engine
+        finally:
+            engine.end()
+
+
+def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Bench:
+    """Return somewhere to run things by an executor."""
+    if executor == "process":
+        return Bench(ProcessExecutor(), folder, ProcessExecutor)
+    docker: Dockerd = request.getfixturevalue("docker")
+    made = DockerExecutor(docker.engine)
+    image = made.prepare(engines.IMAGE).reference
+    return Bench(made, folder, lambda: DockerExecutor(docker.engine), image, "python3", docker.gateway)
+
+
+@pytest.fixture(params=["process", pytest.param("docker", marks=pytest.mark.slow)])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     """Somewhere to run things, by each executor."""
-    made = Bench(request.param(), tmp_path, request.param)
+    made = bench_of(request.param, request, tmp_path)
     yield made
     for work in made.made:
         made.executor.remove(work)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
 import socket
+import threading
 import time
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner import wardens
-from kleinkram.runner.work import GRACE_S, CannotStart
+from kleinkram.runner.work import GRACE_S, CannotStart, Door
 from tests.integration.runner.conftest import Bench, log_of
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
@@ -75,7 +77,15 @@ def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
     assert ending.reason is EndReason.done
     seen, environment, processes = log_of(work).splitlines()
     assert seen == "False False"
-    assert set(re.findall(r"\w+", environment)) <= {"HOME", "LANG", "LC_CTYPE", "PATH", "PYTHONUNBUFFERED", "TMPDIR"}
+    assert set(re.findall(r"\w+", environment)) <= {
+        "HOME",
+        "HOSTNAME",
+        "LANG",
+        "LC_CTYPE",
+        "PATH",
+        "PYTHONUNBUFFERED",
+        "TMPDIR",
+    }
     assert int(processes) < 10
 
 
@@ -84,20 +94,20 @@ def test_without_network_nothing_answers(isolated: Bench) -> None:
         port = decoy.getsockname()[1]
         work, ending = isolated.run(
             "import socket\n"
-            f"for host in ('127.0.0.1', {socket.gethostname()!r}, '192.0.2.1'):\n"
+            f"for host in ('127.0.0.1', {isolated.machine!r}, {socket.gethostname()!r}, '192.0.2.1'):\n"
             f"    try: socket.create_connection((host, {port}), 1)\n"
             "    except OSError as error: print('none')\n"
         )
-        assert (ending.reason, log_of(work).split()) == (EndReason.done, ["none"] * 3)
+        assert (ending.reason, log_of(work).split()) == (EndReason.done, ["none"] * 4)
         decoy.settimeout(0)
         with pytest.raises(BlockingIOError):
             decoy.accept()
 
 
 def test_an_open_network_is_the_machines(bench: Bench) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as there:
-        port = there.getsockname()[1]
-        work = bench.work(f"import socket; socket.create_connection(('127.0.0.1', {port}), 5)", network=Network.open)
+    with socket.create_server((bench.machine, 0)) as there:
+        address = there.getsockname()
+        work = bench.work(f"import socket; socket.create_connection({address}, 5)", network=Network.open)
         bench.executor.start(work)
         assert bench.end_of(work).reason is EndReason.done
 
@@ -246,6 +256,7 @@ def test_usage_is_told(bench: Bench) -> None:
     assert used.cpu_s > 0.05
 
 
+@pytest.mark.parametrize("bench", ["process"], indirect=True)
 def test_killed_with_its_warden_it_is_lost_and_nothing_is_left(isolated: Bench) -> None:
     work = isolated.work(LASTING)
     isolated.executor.start(work)
@@ -262,10 +273,86 @@ def test_killed_with_its_warden_it_is_lost_and_nothing_is_left(isolated: Bench) 
         time.sleep(0.02)
 
 
+@pytest.mark.parametrize("bench", ["process"], indirect=True)
 def test_no_image_without_an_engine(bench: Bench) -> None:
-    if bench.executor.abilities.images:
-        pytest.skip("this executor runs images")
-    work = bench.work(LASTING)
     with pytest.raises(CannotStart, match="no image") as caught:
-        bench.executor.start(type(work)(**{**vars(work), "image": "lab/slam:1"}))
+        bench.executor.start(bench.with_image("lab/slam:1").work(LASTING))
+    assert caught.value.ending.reason is EndReason.not_possible
+    with pytest.raises(CannotStart, match="no image"):
+        bench.executor.prepare("lab/slam:1")
+
+
+def answers(server: socket.socket, words: bytes) -> None:
+    """Answer whoever connects with these words and what was said."""
+
+    def answer() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection:
+                    said = b""
+                    while data := connection.recv(65536):
+                        said += data
+                    connection.sendall(words + said)
+
+    threading.Thread(target=answer, daemon=True).start()
+
+
+KNOCKS = """
+import socket
+def knock(host, port, said=b''):
+    try:
+        with socket.create_connection((host, port), 5) as there:
+            there.sendall(said); there.shutdown(socket.SHUT_WR)
+            return b''.join(iter(lambda: there.recv(65536), b'')).decode()
+    except OSError:
+        return 'none'
+"""
+
+
+def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Bench) -> None:
+    with contextlib.ExitStack() as stack:
+        api, store, decoy = (stack.enter_context(socket.create_server(("0.0.0.0", 0))) for _ in range(3))
+        answers(api, b"api:")
+        answers(store, b"store:")
+        doors = [
+            Door("kleinkram.lab.example", 443, "127.0.0.1", api.getsockname()[1]),
+            Door("store.lab.example", 443, "127.0.0.1", store.getsockname()[1]),
+            Door("192.168.77.7", 9000, "127.0.0.1", store.getsockname()[1]),
+            Door("127.0.0.1", 8000, "127.0.0.1", api.getsockname()[1]),
+        ]
+        ports = [each.getsockname()[1] for each in (api, store, decoy)]
+        refused = [(host, port) for host in ("127.0.0.1", isolated.machine, "127.1.0.1") for port in ports]
+        refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
+        work = isolated.work(
+            KNOCKS
+            + f"for host, port in {[(each.host, each.port) for each in doors]}: print(knock(host, port, b'hi'))\n"
+            f"print({{knock(host, port) for host, port in {refused}}})\n"
+            "print(len(knock('store.lab.example', 443, bytes(3_000_000))))",
+            network=Network.api,
+            doors=doors,
+        )
+        isolated.executor.start(work)
+        assert isolated.end_of(work).reason is EndReason.done
+        assert log_of(work).splitlines() == ["api:hi", "store:hi", "store:hi", "api:hi", "{'none'}", "3000006"]
+        decoy.settimeout(0)
+        with pytest.raises(BlockingIOError):
+            decoy.accept()
+
+
+def test_what_a_door_leads_to_may_be_away(isolated: Bench) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as gone:
+        port = gone.getsockname()[1]
+    door = Door("kleinkram.lab.example", 443, "127.0.0.1", port)
+    text = KNOCKS + "print(knock('kleinkram.lab.example', 443) in ('', 'none'))"
+    work = isolated.work(text, network=Network.api, doors=[door])
+    isolated.executor.start(work)
+    assert isolated.end_of(work).reason is EndReason.done
+    assert log_of(work) == "True\n"
+
+
+def test_a_door_that_cannot_be_made(isolated: Bench) -> None:
+    work = isolated.work("pass", network=Network.api, doors=[Door("2001:db8::1", 443, "127.0.0.1", 1)])
+    with pytest.raises(CannotStart, match="IPv6") as caught:
+        isolated.executor.start(work)
     assert caught.value.ending.reason is EndReason.not_possible

@@ -1,0 +1,234 @@
+"""What is said to an engine of containers, over its Unix socket: Docker's API, which Podman speaks as well.
+
+Imports nothing but Python's own library, since wardens wait for it. Every call is a connection of its own, so threads
+may share an engine.
+"""
+
+import http.client
+import json
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote, urlencode
+
+from kleinkram.runner.docker.log import Piece
+
+_TIMEOUT_S = 60.0
+# A registry that does not answer: engines themselves give up sooner.
+_PULL_TIMEOUT_S = 300.0
+_SOCKETS = ("/var/run/docker.sock", "/run/podman/podman.sock")
+
+
+class EngineAway(Exception):
+    """The engine did not answer, or stopped in the middle."""
+
+
+class Refused(Exception):
+    """The engine answered that it will not."""
+
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class Facts(NamedTuple):
+    """What an engine says of itself. `architecture` as images say it: amd64, arm64."""
+
+    architecture: str
+    has_gpus: bool
+
+
+class Image(NamedTuple):
+    """What an engine says of an image it has. `digests` are `name@sha256:…`, by the registries it came from."""
+
+    id: str
+    digests: tuple[str, ...]
+    architecture: str
+    volumes: tuple[str, ...]
+
+
+class Container(NamedTuple):
+    """What an engine says of a container. `pid` is 0 where it does not run, and `exit_code` of no meaning before."""
+
+    id: str
+    status: str
+    pid: int
+    exit_code: int
+    was_out_of_memory: bool
+    error: str
+
+
+def find_socket() -> Path | None:
+    """Return where the engine of this machine listens: `DOCKER_HOST` if that is set, else where engines usually do."""
+    said = os.environ.get("DOCKER_HOST")
+    if said is not None:
+        return Path(said.removeprefix("unix://")) if said.startswith("unix://") else None
+    own = [f"{os.environ['XDG_RUNTIME_DIR']}/podman/podman.sock"] if "XDG_RUNTIME_DIR" in os.environ else []
+    return next((Path(path) for path in (*_SOCKETS, *own) if Path(path).is_socket()), None)
+
+
+class Engine:
+    """An engine of containers on this machine."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def facts(self) -> Facts:
+        """Return what it says of itself."""
+        version, info = self._ask("GET", "/version"), self._ask("GET", "/info")
+        return Facts(version["Arch"], "nvidia" in (info.get("Runtimes") or {}))
+
+    def find_image(self, name: str) -> Image | None:
+        """Return an image that is here, by name, digest or id."""
+        try:
+            said = self._ask("GET", f"/images/{quote(name)}/json")
+        except Refused as error:
+            if error.status == http.client.NOT_FOUND:
+                return None
+            raise
+        volumes = (said.get("Config") or {}).get("Volumes") or {}
+        return Image(said["Id"], tuple(said["RepoDigests"] or ()), said["Architecture"], tuple(volumes))
+
+    def pull(self, name: str, tag: str, *, architecture: str, credentials: str | None) -> None:
+        """Fetch an image; `tag` may be a digest.
+
+        Raises:
+            Refused: it cannot be had.
+        """
+        query = {"fromImage": name, "tag": tag, "platform": f"linux/{architecture}"}
+        headers = {"X-Registry-Auth": credentials} if credentials else {}
+        path = f"/images/create?{urlencode(query)}"
+        with self._answer("POST", path, headers=headers, timeout_s=_PULL_TIMEOUT_S) as answer:
+            for line in answer:
+                said = json.loads(line)
+                if "error" in said:
+                    raise Refused(http.client.BAD_GATEWAY, said["error"])
+
+    def create(self, name: str, description: Mapping[str, object]) -> None:
+        """Make a container that does not run yet."""
+        self._ask("POST", f"/containers/create?{urlencode({'name': name})}", description)
+
+    def start(self, name: str) -> None:
+        """Start a container."""
+        self._ask("POST", f"/containers/{name}/start")
+
+    def kill(self, name: str, sign: str) -> None:
+        """Send a signal to the first process of a container."""
+        self._ask("POST", f"/containers/{name}/kill?signal={sign}")
+
+    def wait(self, name: str) -> None:
+        """Return once a container does not run."""
+        with self._answer("POST", f"/containers/{name}/wait", timeout_s=None) as answer:
+            # An engine that is killed says nothing more, and not that it does.
+            if not answer.read():
+                raise EngineAway(f"The engine of containers at {self.path} stopped in the middle")
+
+    def find(self, name: str) -> Container | None:
+        """Return a container, or None where there is none of that name."""
+        try:
+            said = self._ask("GET", f"/containers/{name}/json")
+        except Refused as error:
+            if error.status == http.client.NOT_FOUND:
+                return None
+            raise
+        state = said["State"]
+        killed, error_said = bool(state["OOMKilled"]), state.get("Error") or ""
+        return Container(said["Id"], state["Status"], state["Pid"], state["ExitCode"], killed, error_said)
+
+    def remove(self, name: str) -> None:
+        """Kill a container if it runs, and remove it with the volumes that nobody named."""
+        try:
+            self._ask("DELETE", f"/containers/{name}?force=1&v=1")
+        except Refused as error:
+            if error.status not in (http.client.NOT_FOUND, http.client.CONFLICT):
+                raise
+
+    def labelled(self, label: str) -> list[tuple[str, dict[str, str]]]:
+        """Return ids and labels of all containers with a label, which may be `name=value`."""
+        filters = json.dumps({"label": [label]})
+        said = self._ask("GET", f"/containers/json?{urlencode({'all': 1, 'filters': filters})}")
+        return [(each["Id"], each["Labels"]) for each in said]
+
+    @contextmanager
+    def attached(self, name: str) -> Iterator[Iterator[list[Piece]]]:
+        """Yield, in batches, what a container writes from now on, until it is over or the engine is."""
+        path = f"/containers/{name}/attach?stream=1&stdout=1&stderr=1"
+        with self._answer("POST", path, timeout_s=None) as answer:
+            yield _frames(answer)
+
+    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[list[Piece]]:
+        """Yield, in batches, what a container has written, as far as that is kept; then what it writes, if followed."""
+        since = f"{since_ns // 10**9}.{since_ns % 10**9:09d}"
+        query = {"follow": int(follow), "stdout": 1, "stderr": 1, "since": since}
+        with self._answer("GET", f"/containers/{name}/logs?{urlencode(query)}", timeout_s=None) as answer:
+            yield from _frames(answer)
+
+    def _ask(self, method: str, path: str, said: Mapping[str, object] | None = None) -> Any:
+        with self._answer(method, path, said) as answer:
+            text = answer.read()
+        try:
+            return json.loads(text) if text else None
+        except ValueError as error:
+            raise EngineAway(f"The engine of containers at {self.path} stopped in the middle") from error
+
+    @contextmanager
+    def _answer(
+        self,
+        method: str,
+        path: str,
+        said: Mapping[str, object] | None = None,
+        *,
+        headers: Mapping[str, str] | None = None,
+        timeout_s: float | None = _TIMEOUT_S,
+    ) -> Iterator[http.client.HTTPResponse]:
+        body = None if said is None else json.dumps(said).encode()
+        sent = {"Content-Type": "application/json", **(headers or {})}
+        try:
+            with closing(_Connection(self.path, timeout_s)) as connection:
+                connection.request(method, path, body, sent)
+                answer = connection.getresponse()
+                if answer.status >= http.client.BAD_REQUEST:
+                    raise Refused(answer.status, _message(answer.read()))
+                yield answer
+        except (OSError, http.client.HTTPException) as error:
+            raise EngineAway(f"The engine of containers at {self.path} does not answer: {error}") from error
+
+
+class _Connection(http.client.HTTPConnection):
+    # With HTTP/1.0, an answer comes as it is: in 1.1, each line of a log would be a chunk to be taken apart.
+    _http_vsn, _http_vsn_str = 10, "HTTP/1.0"
+
+    def __init__(self, path: Path, timeout_s: float | None) -> None:
+        super().__init__("localhost", timeout=timeout_s)
+        self._path = path
+
+    def connect(self) -> None:
+        self.sock = socket.socket(socket.AF_UNIX)
+        self.sock.settimeout(self.timeout)
+        self.sock.connect(str(self._path))
+
+
+def _message(text: bytes) -> str:
+    try:
+        return str(json.loads(text)["message"]).strip()
+    except (ValueError, KeyError, TypeError):
+        return text.decode(errors="replace").strip()
+
+
+def _frames(answer: http.client.HTTPResponse) -> Iterator[list[Piece]]:
+    """Take frames apart: a byte for the stream, three of nothing, four for the size of what follows."""
+    held = b""
+    while data := answer.read1(2**18):
+        held += data
+        position, pieces = 0, []
+        while position + 8 <= len(held):
+            end = position + 8 + int.from_bytes(held[position + 4 : position + 8], "big")
+            if end > len(held):
+                break
+            pieces.append(Piece(held[position], held[position + 8 : end]))
+            position = end
+        held = held[position:]
+        yield pieces

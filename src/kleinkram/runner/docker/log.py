@@ -1,0 +1,102 @@
+"""The log of a container, by a warden that may be killed at any moment, and by the one after it.
+
+A warden that is there from the start gets what the container writes as it comes. One that is not reads what the engine
+keeps, and passes over what is in the log already: so many bytes of stdout, so many of stderr. How many these are stands
+beside the log, said before each write, so that a write that was cut short can be told as well.
+Imports nothing but Python's own library, since wardens wait for it.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+from kleinkram.runner import ward
+
+_CURSOR = "log.streams"
+_GAP = b"\n[kleinkram] lines may be missing here: nobody followed, and the engine keeps only so much\n"
+_FIRST_BYTES = 2**17
+
+
+class Piece(NamedTuple):
+    """Something that a container wrote; `stream` is 1 for stdout, 2 for stderr."""
+
+    stream: int
+    data: bytes
+
+
+class Log:
+    """The log of a run, in its folder: open while this is a context."""
+
+    def __init__(self, folder: Path, limit_bytes: int) -> None:
+        self._log = os.open(folder / ward.LOG, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
+        self._cursor = os.open(folder / _CURSOR, os.O_RDWR | os.O_CREAT, 0o600)
+        self._limit = limit_bytes
+        self._size = os.fstat(self._log).st_size
+        self._kept = self._read_cursor()
+
+    def __enter__(self) -> "Log":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._log)
+        os.close(self._cursor)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether nothing more is kept."""
+        return self._size >= self._limit
+
+    @property
+    def last_written_ns(self) -> int:
+        """When it was last written to, of the wall clock."""
+        return os.fstat(self._log).st_mtime_ns
+
+    def add(self, pieces: Iterable[Piece]) -> None:
+        """Keep what a container wrote, up to the limit."""
+        for stream, same in groupby(pieces, key=lambda piece: piece.stream):
+            data = b"".join(piece.data for piece in same)[: self._limit - self._size]
+            said = {"size": self._size, "kept": [self._kept[1], self._kept[2]], "next": stream}
+            # Of constant length, and one write: it is there as a whole or not at all.
+            os.pwrite(self._cursor, json.dumps(said).ljust(120).encode(), 0)
+            os.write(self._log, data)
+            self._size += len(data)
+            self._kept[stream] += len(data)
+            if self.is_full:
+                os.write(self._log, ward.LOG_IS_FULL)
+                return
+
+    def without_kept(self, batches: Iterable[list[Piece]]) -> Iterator[list[Piece]]:
+        """Yield of all that the container wrote since its start what is not in here."""
+        left = dict(self._kept)
+        for pieces in batches:
+            fresh = []
+            for stream, data in pieces:
+                passed = min(left[stream], len(data))
+                left[stream] -= passed
+                if passed < len(data):
+                    fresh.append(Piece(stream, data[passed:]))
+            yield fresh
+
+    def begins_with(self, piece: Piece) -> bool:
+        """Whether what is said to be a container's first words is what was kept of its beginning."""
+        return not self._kept[piece.stream] or piece.data in os.pread(self._log, _FIRST_BYTES, 0)
+
+    def note_gap(self) -> None:
+        """Say that something may be missing from here on."""
+        os.write(self._log, _GAP)
+        self._size += len(_GAP)
+
+    def _read_cursor(self) -> dict[int, int]:
+        text = os.pread(self._cursor, 4096, 0)
+        if not text:
+            return {1: 0, 2: 0}
+        said = json.loads(text)
+        kept = {1: said["kept"][0], 2: said["kept"][1]}
+        kept[said["next"]] += self._size - said["size"]
+        return kept

@@ -1,0 +1,192 @@
+"""An engine of containers for tests: a Docker of their own, with folders, socket and registry that nobody else has."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kleinkram.runner.docker.engine import Engine, EngineAway
+
+IMAGE = "kleinkram.test/python"
+# The tests' own package, not Debian's choice of options: `dockerd` alone, without the system's service.
+_PACKAGES = {"dockerd": "docker.io", "docker": "docker.io", "docker-registry": "docker-registry"}
+_LEFT_OUT = {"test", "tests", "idlelib", "tkinter", "lib2to3", "ensurepip", "site-packages", "turtledemo", "pydoc_data"}
+
+
+def missing_programs() -> list[str]:
+    """Return what must be installed for these tests; installs it where that is allowed."""
+    wanted = [each for each in _PACKAGES if _path_of(each) is None]
+    if wanted and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
+        # Nothing of it shall be started: tests have their own.
+        policy = Path("/usr/sbin/policy-rc.d")
+        is_mine = not policy.exists()
+        if is_mine:
+            policy.write_text("#!/bin/sh\nexit 101\n")
+            policy.chmod(0o755)
+        try:
+            packages = sorted({_PACKAGES[each] for each in wanted})
+            subprocess.run(
+                ["apt-get", "install", "-y", "--no-install-recommends", "iptables", "iproute2", *packages],
+                check=True,
+                capture_output=True,
+            )
+        finally:
+            if is_mine:
+                policy.unlink()
+    return [each for each in _PACKAGES if _path_of(each) is None]
+
+
+def _path_of(program: str) -> str | None:
+    return shutil.which(program, path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
+
+
+@contextmanager
+def bridge() -> Iterator[tuple[str, str]]:
+    """Make a network for containers that may have one, and yield its interface and this machine's address there."""
+    name, address = f"klein{os.getpid()}", f"10.{os.getpid() % 50 + 200}.77.1"
+    _ip("link", "add", name, "type", "bridge")
+    try:
+        _ip("address", "add", f"{address}/24", "dev", name)
+        _ip("link", "set", name, "up")
+        yield name, address
+    finally:
+        _ip("link", "delete", name)
+
+
+def _ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True, capture_output=True)
+
+
+@dataclass
+class Dockerd:
+    """A Docker of the tests' own. `bridge` is the interface that it may use, `gateway` this machine's address there."""
+
+    folder: Path
+    bridge: str = "none"
+    gateway: str = "127.0.0.1"
+    options: tuple[str, ...] = ()
+    process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+
+    @property
+    def socket(self) -> Path:
+        return self.folder / "docker.sock"
+
+    @property
+    def engine(self) -> Engine:
+        return Engine(self.socket)
+
+    def start(self) -> None:
+        """Start it, again after `kill`, and wait until it answers."""
+        self.folder.mkdir(exist_ok=True)
+        (self.folder / "none.json").write_text("{}")
+        program = _path_of("dockerd")
+        assert program is not None
+        environment = {**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin", "DOCKER_CONFIG": str(self.folder)}
+        with (self.folder / "dockerd.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [
+                    *(program, "--host", f"unix://{self.socket}", "--config-file", self.folder / "none.json"),
+                    *("--data-root", self.folder / "data", "--exec-root", self.folder / "exec"),
+                    *("--pidfile", self.folder / "docker.pid", "--bridge", self.bridge),
+                    *("--iptables=false", "--ip-masq=false", *self.options),
+                ],
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,
+            )
+        until = time.monotonic() + 60
+        while not self._answers():
+            assert self.process.poll() is None, (self.folder / "dockerd.log").read_text()[-3000:]
+            assert time.monotonic() < until, "dockerd does not answer"
+            time.sleep(0.05)
+
+    def _answers(self) -> bool:
+        try:
+            self.engine.facts()
+        except EngineAway:
+            return False
+        return True
+
+    def kill(self) -> None:
+        """Kill it as nobody should."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        (self.folder / "docker.pid").unlink(missing_ok=True)
+
+    def end(self) -> None:
+        """Remove all containers and end it."""
+        if self.process is None or self.process.poll() is not None:
+            return
+        for name, _ in self.engine.labelled("kleinkram.run"):
+            self.engine.remove(name)
+        self.process.terminate()
+        self.process.wait(30)
+
+    def docker(self, *words: str, given: bytes | None = None) -> str:
+        """Run Docker's own command line on it."""
+        program = _path_of("docker")
+        assert program is not None
+        environment = {"PATH": os.environ["PATH"], "DOCKER_HOST": f"unix://{self.socket}", "HOME": str(self.folder)}
+        done = subprocess.run([program, *words], input=given, capture_output=True, env=environment, check=False)
+        assert done.returncode == 0, f"docker {' '.join(words)}: {done.stderr.decode()}"
+        return done.stdout.decode().strip()
+
+    def load(self, name: str, *changes: str, root: bytes, platform: str | None = None) -> str:
+        """Make an image of the files of a tar, and return its id."""
+        said = [word for change in changes for word in ("--change", change)]
+        chosen = ["--platform", platform] if platform else []
+        return self.docker("import", *chosen, *said, "-", name, given=root)
+
+
+def python_root() -> bytes:
+    """Return a tar of a root with this Python and its libraries, and nothing else but the folders of runs."""
+    libraries = Path(sysconfig.get_path("stdlib"))
+    program = Path(sys.executable).resolve()
+    needed = [program, *(libraries / "lib-dynload").glob("*.so")]
+    with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
+        for each in sorted({path for file in needed for path in _libraries_of(file)}):
+            tar.add(Path(each).resolve(), each, recursive=False)
+        tar.add(program, program)
+        tar.add(libraries, libraries, filter=_kept)
+        _link(tar, "/usr/bin/python3", str(program))
+        for folder in ("in", "out", "tmp", "etc"):
+            _folder(tar, folder)
+        tar.close()
+        return stream.getvalue()
+
+
+def _libraries_of(file: Path) -> list[str]:
+    said = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
+    return [word for line in said.splitlines() for word in line.split() if word.startswith("/") and ":" not in word]
+
+
+def _kept(entry: tarfile.TarInfo) -> tarfile.TarInfo | None:
+    name = Path(entry.name)
+    if _LEFT_OUT & set(name.parts) or name.suffix == ".a" or any(part.startswith("config-") for part in name.parts):
+        return None
+    return None if name.suffix == ".pyc" and sys.implementation.cache_tag not in name.name.split(".")[1:-1] else entry
+
+
+def _link(tar: tarfile.TarFile, name: str, target: str) -> None:
+    entry = tarfile.TarInfo(name[1:])
+    entry.type, entry.linkname = tarfile.SYMTYPE, target
+    tar.addfile(entry)
+
+
+def _folder(tar: tarfile.TarFile, name: str) -> None:
+    entry = tarfile.TarInfo(name)
+    entry.type, entry.mode = tarfile.DIRTYPE, 0o755
+    tar.addfile(entry)
