@@ -51,7 +51,7 @@ def show_action(action: ActionRead, version: ActionVersionRead) -> None:
             ),
             ("runners", resources.labels),
             ("network", definition.network.value),
-            ("right", definition.right.name),
+            ("right", definition.right.value),
             ("published", f"{version.created_at:%Y-%m-%d %H:%M}Z by {version.created_by.name}"),
         ]
     )

@@ -9,7 +9,7 @@ from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_choice
 from kleinkram.cli.mission_view import show_topics
 from kleinkram.cli.options import AsJson, DryRun, Limit, MissionOption, ProjectOption, Yes, confirm
-from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
+from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
@@ -145,6 +145,11 @@ def delete(
         if not found:
             raise NothingToDo(reason="No file matches")
         total = sum(file.size_bytes for file in found)
+        for file in found:
+            said = client.files.delete(file.id, dry_run=True)
+            if said.made_from_it:
+                made = ", ".join(map(escape, said.made_from_it))
+                note(f"{file_label(file)} was read by {said.read_by_runs} runs; of it came {made}, which stay")
         if not dry_run:
             show_found(found, to_stderr=True)
             confirm(f"Move these {len(found)} files, {size(total)}, to the trash?", yes)

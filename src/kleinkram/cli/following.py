@@ -127,7 +127,9 @@ def _where(run: RunDetail) -> str:
 
 
 def last_word(run: RunDetail) -> None:
-    """Say how a run ended, where its message is worth more than its state."""
+    """Say how a run ended, where its message is worth more than its state, and what of its words was not taken."""
+    for problem in run.problems:
+        note(problem)
     if run.reuses_id is not None:
         note(f"The results are those of the run {run.reuses_id}: same version, parameters, inputs. --force runs anew.")
     if run.state is not RunState.done:

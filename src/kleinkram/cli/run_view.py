@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from kleinkram.cli.render import details, line, note, table
-from kleinkram.cli.units import duration, size
+from kleinkram.cli.units import duration, instant, size
 from kleinkram.contract.reports import Finding, Metric
 from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
 
@@ -45,9 +45,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 action_name(run.action),
                 _short(run),
                 _took(run),
-                sum(run.finding_counts.values()),
-                run.metric_count,
-                run.artifact_count,
+                *_counts(run),
                 run.created_at,
                 run.cause.person and run.cause.person.name,
                 run.id,
@@ -85,8 +83,8 @@ def show_run(run: RunDetail) -> None:
             ("inputs", f"{run.input_count} files, {size(run.input_bytes)}"),
             *((f"  {name}", value) for name, value in run.parameters.items()),
             ("used", usage and f"{usage.cpu_s:.1f} s of cores, {size(usage.peak_memory_bytes)} of memory at most"),
-            ("artifacts", run.artifact_count),
-            ("metrics", run.metric_count),
+            ("artifacts", _counts(run)[2]),
+            ("metrics", _counts(run)[1]),
             ("findings", ", ".join(f"{count} {severity.value}" for severity, count in run.finding_counts.items())),
             *((f"proposed {name}", value) for name, value in run.metadata.items()),
             *(("problem", problem) for problem in run.problems),
@@ -113,12 +111,22 @@ def show_findings(findings: Iterable[Finding]) -> None:
     """Print the findings of one run as a table."""
     table(
         ["severity", "finding", "message", "file", "topic", "time"],
-        [(each.severity.value, each.code, each.message, each.file, each.topic, each.time_ns) for each in findings],
+        [
+            (each.severity.value, each.code, each.message, each.file, each.topic, instant(each.time_ns))
+            for each in findings
+        ],
     )
 
 
 def _short(run: RunRead) -> str:
     return str(run.state.value) if run.state is RunState.queued else standing(run)
+
+
+def _counts(run: RunRead) -> tuple[int | None, int | None, int | None]:
+    """Return how many findings, metrics and artifacts a run has; a run that reuses another's has that one's."""
+    if run.reuses_id is not None:
+        return None, None, None
+    return sum(run.finding_counts.values()), run.metric_count, run.artifact_count
 
 
 def _took(run: RunRead) -> str | None:
