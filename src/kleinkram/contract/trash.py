@@ -37,7 +37,10 @@ class TrashRead(BaseModel):
 
 
 class Deleted(BaseModel):
-    """What a deletion moved to the trash (or, as a dry run, would move)."""
+    """What a deletion moved to the trash (or, as a dry run, would move).
+
+    Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -45,3 +48,5 @@ class Deleted(BaseModel):
     files: int
     size_bytes: int
     dry_run: bool
+    read_by_runs: int = 0
+    made_from_it: list[str] = []

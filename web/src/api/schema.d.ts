@@ -3027,14 +3027,26 @@ export interface components {
         /**
          * Deleted
          * @description What a deletion moved to the trash (or, as a dry run, would move).
+         *
+         *     Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
          */
         Deleted: {
             /** Dry Run */
             dry_run: boolean;
             /** Files */
             files: number;
+            /**
+             * Made From It
+             * @default []
+             */
+            made_from_it: string[];
             /** Missions */
             missions: number;
+            /**
+             * Read By Runs
+             * @default 0
+             */
+            read_by_runs: number;
             /** Size Bytes */
             size_bytes: number;
         };

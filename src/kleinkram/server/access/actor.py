@@ -165,7 +165,8 @@ def _by_token() -> Select[Any]:
         limits(token_limit.c.project_id).label("project_ids"),
         limits(token_limit.c.mission_id).label("mission_ids"),
     )
-    usable = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at)
+    of_run = or_(token.c.kind != TokenKind.run.value, token.c.run_id.is_not(None))
+    usable = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at) & of_run
     return stmt.join_from(token, person).where(token.c.secret_sha256 == bindparam("hashed"), usable)
 
 

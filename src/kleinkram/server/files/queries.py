@@ -12,9 +12,12 @@ from sqlalchemy import (
     Select,
     Text,
     Update,
+    any_,
     bindparam,
+    false,
     func,
     literal,
+    or_,
     select,
     true,
     update,
@@ -32,9 +35,11 @@ from kleinkram.server.db import among
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.search.topics import topic_rows
-from kleinkram.server.tables import blob, file, mission, person, project, topic
+from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
+# Of what came of a file, so much is said when it is deleted.
+_MOST_MADE = 100
 
 _COLUMNS: tuple[ColumnElement[Any], ...] = (
     file.c.id,
@@ -137,9 +142,13 @@ def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Se
 
 
 def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return a file's id where `actor` brought it within the last hour, and may still put files there."""
+    """Return a file's id where `actor` brought it within the last hour, and may still put files there.
+
+    A run did not bring what whoever started it did.
+    """
     brought = (file.c.uploaded_by_id == actor.person_id, file.c.created_at > func.now() - datetime.timedelta(hours=1))
-    return visible_files(actor, Right.create).with_only_columns(file.c.id).where(file.c.id == file_id, *brought)
+    stmt = visible_files(actor, Right.create).with_only_columns(file.c.id).where(file.c.id == file_id, *brought)
+    return stmt if actor.run_id is None else stmt.where(false())
 
 
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
@@ -168,6 +177,20 @@ def file_order(actor: Actor, sort: FileSort) -> Order:
 def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     """Return the topics of one visible file, and how densely their messages lie."""
     return topic_rows(visible_files(actor).where(file.c.id == file_id)).add_columns(topic.c.density)
+
+
+def runs_that_read(file_id: uuid.UUID) -> Select[Any]:
+    """Return the number of runs that were given a file."""
+    return select(func.count()).select_from(run_input).where(run_input.c.file_id == file_id)
+
+
+def made_from(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+    """Return the paths of visible files that runs made of a file."""
+    of_it = or_(func.cardinality(run_artifact.c.made_from) == 0, run_input.c.path == any_(run_artifact.c.made_from))
+    joined = visible_files(actor).with_only_columns(file.c.path, maintain_column_froms=True)
+    joined = joined.join(run_artifact, run_artifact.c.file_id == file.c.id)
+    joined = joined.join(run_input, run_input.c.run_id == run_artifact.c.run_id)
+    return joined.where(run_input.c.file_id == file_id, of_it).order_by(file.c.path).limit(_MOST_MADE)
 
 
 def change_file(file_id: uuid.UUID, **values: object) -> Update:

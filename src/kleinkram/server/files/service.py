@@ -137,7 +137,17 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": row.path, "mission": row.mission_name}
         await record(db, actor, _event("file.delete", row, before, takes=takes))
-    return Deleted(missions=0, files=1, size_bytes=row.size_bytes, dry_run=dry_run)
+    runs, made = await _come_of_it(db, actor, file_id)
+    said = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
+    return Deleted(missions=0, files=1, **said)
+
+
+async def _come_of_it(db: Connection, actor: Actor, file_id: uuid.UUID) -> tuple[int, list[str]]:
+    """Return how many runs read a file, and the paths of the files that they made of it, as far as these are shown."""
+    runs = (await db.execute(queries.runs_that_read(file_id))).scalar_one()
+    if not runs:
+        return 0, []
+    return runs, list((await db.execute(queries.made_from(actor, file_id))).scalars())
 
 
 async def path_conflicts(

@@ -79,11 +79,11 @@ token = Table(
     Column("revoked_at", DateTime(timezone=True)),
     # With which token it was made: it ends with that one. None where somebody was signed in by a browser.
     Column("made_by_token_id", Uuid, ForeignKey("token.id"), index=True),
-    # A run's: good while that run lasts, and for no more than `most`.
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), index=True),
+    # A run's: good while that run lasts, and for no more than `most`; the record may speak of it when the run is gone.
+    Column("run_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
     Column("most", Text),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
-    CheckConstraint("(kind = 'run') = (run_id IS NOT NULL) AND (run_id IS NULL) = (most IS NULL)", name="run"),
+    CheckConstraint("(run_id IS NULL OR kind = 'run') AND (kind = 'run') = (most IS NOT NULL)", name="run"),
     one_of("most", Right),
     CheckConstraint(
         f"scopes <@ ARRAY[{', '.join(repr(scope.value) for scope in Scope)}]::text[]",

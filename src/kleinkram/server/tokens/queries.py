@@ -20,9 +20,10 @@ TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
 
 def tokens_of(person_id: uuid.UUID | None) -> Select[Any]:
-    """Return the tokens of one person, or with None everybody's, as `to_token` reads them."""
+    """Return the tokens of one person, or with None everybody's, as `to_token` reads them; none of a run."""
     own = [column for column in token.c if column is not token.c.secret_sha256]
     stmt = select(*own, person.c.name.label("person_name")).join_from(token, person)
+    stmt = stmt.where(token.c.kind != TokenKind.run.value)
     return stmt if person_id is None else stmt.where(token.c.person_id == person_id)
 
 

@@ -279,7 +279,7 @@ def _open_others_to_runs() -> None:
     op.add_column("token", sa.Column("run_id", sa.Uuid(), nullable=True))
     op.add_column("token", sa.Column("most", sa.Text(), nullable=True))
     op.create_index(op.f("ix_token_run_id"), "token", ["run_id"], unique=False)
-    op.create_foreign_key(op.f("fk_token_run_id_run"), "token", "run", ["run_id"], ["id"], ondelete="CASCADE")
+    op.create_foreign_key(op.f("fk_token_run_id_run"), "token", "run", ["run_id"], ["id"], ondelete="SET NULL")
     op.add_column("upload", sa.Column("run_id", sa.Uuid(), nullable=True))
     op.create_index(op.f("ix_upload_run_id"), "upload", ["run_id"], unique=False)
     op.create_index(
@@ -304,5 +304,5 @@ def _open_others_to_runs() -> None:
     op.create_check_constraint(op.f("ck_token_kind"), "token", "kind IN ('personal', 'robot', 'runner', 'run')")
     op.create_check_constraint(op.f("ck_token_most"), "token", "most IN ('READ', 'CREATE', 'WRITE', 'DELETE')")
     op.create_check_constraint(
-        op.f("ck_token_run"), "token", "(kind = 'run') = (run_id IS NOT NULL) AND (run_id IS NULL) = (most IS NULL)"
+        op.f("ck_token_run"), "token", "(run_id IS NULL OR kind = 'run') AND (kind = 'run') = (most IS NOT NULL)"
     )

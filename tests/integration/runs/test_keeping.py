@@ -1,0 +1,121 @@
+"""What is kept for runs and of them, and for how long."""
+
+import threading
+import uuid
+
+from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.runs.jobs import tend_once
+from kleinkram.server.site import Site
+from tests.integration.jobs import on_site
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Place, Played, launch
+
+
+def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    file_id = place.files["drive.bin"]["id"]
+    lab.sql("UPDATE run_input SET file_id = NULL WHERE file_id = %s", file_id)
+    (blob_id,) = lab.sql("DELETE FROM file WHERE id = %s RETURNING blob_id", file_id)[0]
+    on_site(lab, _sweep)
+    assert lab.sql("SELECT doomed_at FROM blob WHERE id = %s", blob_id) == [(None,)]
+    lab.post(f"/runs/{made['id']}/cancel").ok()
+    on_site(lab, _sweep)
+    assert lab.sql("SELECT doomed_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
+
+
+def test_what_a_run_left_stays_until_its_mission_goes(lab: Api, runner: Played, place: Place) -> None:
+    """With the mission goes all of it; the record still speaks of the run's token."""
+    launch(lab, runner, place.mission, network="api", right="WRITE")
+    claim = runner.claim()
+    lab.as_(claim["token"]).patch(f"/missions/{place.mission['id']}", {"notes": "by the run"}).ok()
+    runner.write(claim, 0, b"a line\n")
+    runner.leave(claim, "made", b"made")
+    runner.leave(claim, ".kleinkram/log", b"a line\n")
+    runner.finish(claim).ok()
+    blobs = _blobs(lab, claim["run_id"])
+    assert len(blobs) == 2
+    on_site(lab, _sweep)
+    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(2,)]
+    assert lab.sql("SELECT count(*) FROM log_segment WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
+    lab.delete(f"/missions/{place.mission['id']}").ok()
+    lab.sql("UPDATE upload SET cleaned_at = now() WHERE mission_id = %s", place.mission["id"])
+    lab.sql("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = %s", place.mission["id"])
+    for _ in range(3):
+        on_site(lab, _sweep)
+    assert lab.sql("SELECT count(*) FROM run WHERE id = %s", claim["run_id"]) == [(0,)]
+    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(0,)]
+    assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
+
+
+def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission, right="CREATE")
+    claim = runner.claim()
+    runner.leave(claim, "clean", b"cleaned")
+    put_back = [{"path": "clean", "to": "clean/drive", "made_from": ["drive.bin"]}]
+    runner.finish(claim, report={"put_back": put_back}).ok()
+    told = lab.delete(f"/files/{place.files['drive.bin']['id']}", {"dry_run": "true"}).ok()
+    assert (told["read_by_runs"], told["made_from_it"]) == (1, ["clean/drive"])
+    other = lab.delete(f"/files/{place.files['notes/day.txt']['id']}").ok()
+    assert (other["read_by_runs"], other["made_from_it"]) == (1, []), "it was read, and nothing was made of it"
+
+
+def test_of_runners_that_ask_at_once_one_gets_a_run(lab: Api, runner: Played, place: Place) -> None:
+    """Ten at once, forty runs: each is begun once."""
+    runs = [launch(lab, runner, place.mission)["id"] for _ in range(40)]
+    runners = [Played(runner.api, labels=runner.labels) for _ in range(10)]
+    for each in runners:
+        each.hello()
+    claimed: list[str] = []
+
+    def ask(each: Played) -> None:
+        while (found := each.claim()) is not None:
+            claimed.append(found["run_id"])
+
+    threads = [threading.Thread(target=ask, args=(each,)) for each in runners]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(claimed) == sorted(runs)
+
+
+def test_whoever_waits_gets_what_comes(lab: Api, runner: Played, place: Place) -> None:
+    got: list[str] = []
+    waiting = threading.Thread(target=lambda: got.append(runner.claim(wait_s=20)["run_id"]))
+    waiting.start()
+    made = launch(lab, runner, place.mission)
+    waiting.join(timeout=15)
+    assert got == [made["id"]]
+
+
+def test_a_log_is_read_while_it_grows(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    claim = runner.claim()
+    pieces: list[str] = []
+
+    def follow() -> None:
+        offset, is_over = 0, False
+        while not is_over:
+            piece = lab.get(f"/runs/{made['id']}/log", {"offset": str(offset), "wait_s": "10"}).ok()
+            pieces.append(piece["text"])
+            offset, is_over = piece["next_offset"], piece["is_over"]
+
+    following = threading.Thread(target=follow)
+    following.start()
+    text = "".join(f"line {number} ä\n" for number in range(20_000)).encode()
+    for start in range(0, len(text), 70_001):
+        runner.write(claim, start, text[start : start + 70_001])
+    runner.leave(claim, ".kleinkram/log", text)
+    runner.finish(claim).ok()
+    following.join(timeout=30)
+    assert "".join(pieces).encode() == text
+
+
+def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
+    left = lab.sql("SELECT blob_id FROM run_artifact WHERE run_id = %s", run_id)
+    return [row[0] for row in left + lab.sql("SELECT log_blob_id FROM run WHERE id = %s", run_id)]
+
+
+async def _sweep(site: Site) -> None:
+    await tend_once(site)
+    await sweep_once(site)

@@ -1,0 +1,126 @@
+"""What a run may do by its own token: on its mission, while it lasts, and no more than its action and its starter."""
+
+from typing import Any
+
+from kleinkram.contract.rights import Right
+from tests.integration import people
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.uploading import upload
+
+
+def _begun(lab: Api, runner: Played, place: Place, **said: Any) -> tuple[Any, Api]:
+    """Start a run that may speak to the API; returns what its runner claimed, and the API as the run sees it."""
+    launch(lab, runner, place.mission, network="api", **said)
+    claim = runner.claim()
+    runner.beat(claim)
+    return claim, lab.as_(claim["token"])
+
+
+def test_a_run_without_network_has_no_token(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    assert runner.claim()["token"] is None
+
+
+def test_it_sees_its_mission_and_no_other(lab: Api, runner: Played, place: Place) -> None:
+    other = lab.mission(place.project["id"])
+    _, run = _begun(lab, runner, place)
+    assert [each["id"] for each in run.all("/missions")] == [place.mission["id"]]
+    run.get(f"/missions/{place.mission['id']}").ok()
+    run.get(f"/missions/{other['id']}").refused(404, "not_found")
+    run.get(f"/projects/{place.project['id']}").refused(404, "not_found")
+    assert len(run.all("/files")) == 2
+
+
+def test_it_sees_no_other_run(lab: Api, runner: Played, place: Place) -> None:
+    earlier = launch(lab, runner, place.mission)
+    runner.finish(runner.claim()).ok()
+    claim, run = _begun(lab, runner, place)
+    assert [each["id"] for each in run.all("/runs")] == [claim["run_id"]]
+    run.get(f"/runs/{earlier['id']}").refused(404, "not_found")
+
+
+def test_it_may_do_what_its_action_asks_for_and_no_more(lab: Api, runner: Played, place: Place) -> None:
+    """Whoever started it is the server's owner, who may do everything."""
+    _, reading = _begun(lab, runner, place)
+    file_id = place.files["drive.bin"]["id"]
+    reading.post(f"/missions/{place.mission['id']}/uploads", {"files": [{"path": "a", "size_bytes": 1}]}).refused(
+        403, "scope_missing"
+    )
+    _, filling = _begun(lab, runner, place, right="CREATE")
+    upload(filling, place.mission["id"], "made", b"made")
+    filling.patch(f"/missions/{place.mission['id']}", {"notes": "x"}).refused(403, "scope_missing")
+    _, writing = _begun(lab, runner, place, right="WRITE")
+    writing.patch(f"/missions/{place.mission['id']}", {"notes": "x"}).ok()
+    writing.delete(f"/files/{file_id}").refused(403, "forbidden")
+    _, deleting = _begun(lab, runner, place, right="DELETE")
+    deleting.delete(f"/files/{file_id}").ok()
+
+
+def test_it_is_never_an_admin_nor_anybodys_account(lab: Api, runner: Played, place: Place) -> None:
+    _, run = _begun(lab, runner, place, right="DELETE")
+    for path in ("/admin/settings", "/runners", "/tokens", "/me/sessions"):
+        assert run.get(path).status == 403
+    run.post("/tokens", {"name": "more"}).refused(403, "scope_missing")
+    run.post("/runs", {"mission_ids": [place.mission["id"]], "definition": {"name": "a", "script": "x"}}).refused(
+        403, "scope_missing"
+    )
+
+
+def test_it_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
+    claim, run = _begun(lab, runner, place)
+    runner.finish(claim).ok()
+    run.get("/me").refused(401, "not_authenticated")
+
+
+def test_it_ends_when_the_run_goes_to_another_runner(lab: Api, runner: Played, place: Place) -> None:
+    claim, run = _begun(lab, runner, place)
+    lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 s' WHERE id = %s", claim["run_id"])
+    runner.claim()
+    run.get("/me").refused(401, "not_authenticated")
+
+
+def test_a_run_holds_what_its_starter_holds_now(lab: Api, runner: Played, place: Place) -> None:
+    starter = people.person(lab)
+    grant = people.grant(lab, starter, Right.write, mission_id=place.mission["id"])
+    mine = lab.as_(people.token(lab, starter).secret)
+    launch(mine, runner, place.mission, network="api", right="WRITE")
+    run = lab.as_(runner.claim()["token"])
+    run.patch(f"/missions/{place.mission['id']}", {"notes": "x"}).ok()
+    lab.sql("UPDATE access_grant SET level = 1 WHERE id = %s", grant)
+    run.patch(f"/missions/{place.mission['id']}", {"notes": "y"}).refused(403, "forbidden")
+    lab.sql("DELETE FROM access_grant WHERE id = %s", grant)
+    run.get(f"/missions/{place.mission['id']}").refused(404, "not_found")
+
+
+def test_whoever_lost_the_right_has_their_waiting_runs_cancelled(lab: Api, runner: Played, place: Place) -> None:
+    starter = people.person(lab)
+    grant = people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
+    made = launch(lab.as_(people.token(lab, starter).secret), runner, place.mission)
+    lab.sql("DELETE FROM access_grant WHERE id = %s", grant)
+    assert runner.claim() is None
+    seen = lab.get(f"/runs/{made['id']}").ok()
+    assert (seen["state"], seen["reason"]) == ("cancelled", "cancelled")
+    assert "may not run it" in seen["message"]
+
+
+def test_starting_takes_what_the_action_takes(lab: Api, runner: Played, place: Place) -> None:
+    starter = people.person(lab)
+    people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
+    mine = lab.as_(people.token(lab, starter).secret)
+    launch(mine, runner, place.mission)
+    wanted = {"mission_ids": [place.mission["id"]], "definition": {"name": "a", "script": "x", "right": "WRITE"}}
+    (refused,) = mine.post("/runs", wanted).ok()["items"]
+    assert (refused["outcome"], refused["problem"]["code"]) == ("refused", "forbidden")
+
+
+def test_a_runners_token_claims_and_reports_and_nothing_else(lab: Api, runner: Played, place: Place) -> None:
+    for path in ("/missions", "/files", "/runs", "/actions", "/runners", "/home"):
+        assert runner.api.get(path).status == 403
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    runner.api.get(f"/runs/{claim['run_id']}").refused(403, "scope_missing")
+    other = launch(lab, runner, place.mission)
+    asked = {"attempt": 1, "paths": ["drive.bin"]}
+    runner.api.post(f"/runner/runs/{other['id']}/inputs", asked).refused(409, "run_gone")
+    assert len(runner.api.post(f"/runner/runs/{claim['run_id']}/inputs", asked).ok()["urls"]) == 1
