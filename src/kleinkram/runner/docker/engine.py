@@ -189,10 +189,10 @@ class Engine:
         try:
             with closing(_Connection(self.path, timeout_s)) as connection:
                 connection.request(method, path, body, sent)
-                answer = connection.getresponse()
-                if answer.status >= http.client.BAD_REQUEST:
-                    raise Refused(answer.status, _message(answer.read()))
-                yield answer
+                with closing(connection.getresponse()) as answer:
+                    if answer.status >= http.client.BAD_REQUEST:
+                        raise Refused(answer.status, _message(answer.read()))
+                    yield answer
         except (OSError, http.client.HTTPException) as error:
             raise EngineAway(f"The engine of containers at {self.path} does not answer: {error}") from error
 
