@@ -171,7 +171,7 @@ def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
 def test_why_a_run_waits_is_said(lab: Api, runner: Played, place: Place) -> None:
     waits = launch(lab, runner, place.mission, resources={"cores": 64})["waits_for"]
     assert "it has 4 cores and 64 are asked for" in waits
-    assert "enough free" in launch(lab, runner, place.mission)["waits_for"]
+    assert "its turn" in launch(lab, runner, place.mission)["waits_for"]
 
 
 def test_what_a_runner_has_free_is_kept_to(lab: Api, runner: Played, place: Place) -> None:

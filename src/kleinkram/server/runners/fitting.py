@@ -64,7 +64,7 @@ def why_waiting(run: Row[Any], runners: Collection[Row[Any]], *, owners_alone: b
     reasons = {each.name: refusal(run, each, owners_alone=owners_alone) for each in runners}
     able = [name for name, reason in reasons.items() if reason is None]
     if able:
-        return f"It waits for {' or '.join(sorted(able)[:3])} to have enough free."
+        return f"It waits for its turn with {' or '.join(sorted(able)[:3])}."
     # Those that are called as it asks for first: what they lack is what can be mended.
     lacking = {each.name for each in runners if set(run.labels) - set(each.labels)}
     ordered = sorted(reasons.items(), key=lambda each: (each[0] in lacking, each[0]))
