@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import urllib3
@@ -19,7 +19,8 @@ from kleinkram.runner.work import CannotStart, Ending
 
 _AT_ONCE = 4
 _ADDRESSES_AT_ONCE = 500
-_SLICE_BYTES = 2**20
+_SLICE_BYTES = 256 * 2**10
+_LOOK_EVERY_S = 0.1
 _REFUSALS = 4
 
 
@@ -34,6 +35,7 @@ class InputFetcher:
         self._orders = orders
         self._urls: dict[str, str] = {}
         self._lock = threading.Lock()
+        self._is_over = threading.Event()
 
     def lay(self, folder: Path, *, may_share: bool) -> None:
         """Have all inputs of the run in a folder, under their paths, to be read only.
@@ -64,21 +66,34 @@ class InputFetcher:
 
     def _fetch_all(self, missing: Sequence[Wanted]) -> None:
         paths = {each.sha256: each.path for each in self._claim.inputs}
-        for at in range(0, len(missing), _ADDRESSES_AT_ONCE):
-            batch = missing[at : at + _ADDRESSES_AT_ONCE]
-            self._ask([paths[each.sha256] for each in batch])
-            with ThreadPoolExecutor(min(_AT_ONCE, len(batch)), "fetch") as pool:
-                coming = [pool.submit(self._fetch, each, paths[each.sha256]) for each in batch]
-                done, _ = wait(coming, return_when=FIRST_EXCEPTION)
-                pool.shutdown(wait=False, cancel_futures=True)
-                for each in done:
-                    each.result()
+        pool = ThreadPoolExecutor(min(_AT_ONCE, len(missing)), "fetch")
+        try:
+            for at in range(0, len(missing), _ADDRESSES_AT_ONCE):
+                batch = missing[at : at + _ADDRESSES_AT_ONCE]
+                self._ask([paths[each.sha256] for each in batch])
+                self._wait_for({pool.submit(self._fetch, each, paths[each.sha256]) for each in batch})
+        finally:
+            # Nobody waits for a store that does not answer: whoever asked it sees later that it is over.
+            self._is_over.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def _wait_for(self, coming: set[Future[None]]) -> None:
+        while coming:
+            done, coming = wait(coming, timeout=_LOOK_EVERY_S, return_when=FIRST_EXCEPTION)
+            for each in done:
+                each.result()
+            self._orders.check()
 
     def _fetch(self, wanted: Wanted, path: str) -> None:
         try:
             self._cache.get(wanted, lambda part: self._receive(part, path), self._orders.wait)
         except Damaged as error:
             raise _unavailable(f"The input {path} is damaged: {error}.") from error
+
+    def _check(self) -> None:
+        self._orders.check()
+        if self._is_over.is_set():
+            raise _unavailable("Another input could not be had.")
 
     def _ask(self, paths: Sequence[str]) -> None:
         ask = InputsAsk(attempt=self._claim.attempt, paths=[*paths])
@@ -90,13 +105,13 @@ class InputFetcher:
         """Take what is missing of a file, from wherever the last connection broke off."""
         backoff, refusals = Backoff(PATIENCE_S, self._orders.wait), 0
         while part.offset < part.wanted.size_bytes:
-            self._orders.check()
+            self._check()
             before = part.offset
             answer = self._store.get(self._urls[path], before, part.wanted.size_bytes - 1, _SLICE_BYTES)
             try:
                 for data in answer.slices():
                     part.add(data)
-                    self._orders.check()
+                    self._check()
             except urllib3.exceptions.HTTPError as error:
                 answer.error = error
             finally:

@@ -1,0 +1,179 @@
+"""What goes wrong: runners that are killed, servers that fall silent, runs that are cancelled, clocks that are off."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from kleinkram.contract.runners import LOG_PATH
+from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner.orders import MARGIN_S
+from tests.integration.runner_loop.conftest import Runners, ended, wait_until
+from tests.integration.runner_loop.fake_server import FakeRun, FakeServer
+
+# Says that it lives by a file that nobody else touches, and ends when asked to by another one.
+LASTING = (
+    "import pathlib, time\n"
+    "from kleinkram.action import out\n"
+    "print('began', flush=True)\n"
+    "while True:\n"
+    "    (out / 'beat').write_text(str(time.monotonic()))\n"
+    "    time.sleep(0.02)\n"
+)
+SHORT = (
+    "import time\nfrom kleinkram.action import out\n"
+    "print('began', flush=True)\ntime.sleep(2)\n(out / 'x').write_text('x')\n"
+)
+
+
+def beat_of(runners: Runners) -> Path | None:
+    return next(iter(runners.folder.glob("runs/*/out/beat")), None)
+
+
+def is_alive(beat: Path) -> bool:
+    """Whether a run goes on."""
+    before = beat.read_text()
+    until = time.monotonic() + 0.5
+    while time.monotonic() < until:
+        if beat.read_text() != before:
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def until_running(runners: Runners, run: FakeRun) -> Path:
+    wait_until(lambda: RunState.running in run.states and beat_of(runners))
+    beat = beat_of(runners)
+    assert beat is not None
+    return beat
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("when", [RunState.preparing, RunState.running, RunState.collecting])
+def test_a_runner_that_is_killed_finds_its_run_again(server: FakeServer, runners: Runners, when: RunState) -> None:
+    data = bytes(range(256)) * 4000
+    server.slow_bytes_per_s = 400_000
+    server.holds_uploads.set()
+    first = runners.spawn()
+    run = server.launch(SHORT, {"drive.bag": data})
+    wait_until(lambda: when in run.states and server.requests["GET store"])
+    if when is RunState.collecting:
+        wait_until(lambda: server.requests["/runner/runs/*/uploads"])
+    runners.kill(first)
+    server.slow_bytes_per_s = None
+    server.holds_uploads.clear()
+    runners.spawn()
+    finish = ended(run).finishes
+    assert [each.reason for each in finish] == [EndReason.done]
+    assert run.attempt == 1
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+@pytest.mark.slow
+def test_a_runner_that_is_asked_to_end_leaves_its_run_or_ends_it_too(server: FakeServer, runners: Runners) -> None:
+    first = runners.spawn()
+    run = server.launch(LASTING)
+    beat = until_running(runners, run)
+    runners.kill(first, signal.SIGTERM)
+    assert is_alive(beat)
+    second = runners.spawn()
+    wait_until(lambda: len(server.hellos) == 2)
+    assert is_alive(beat)
+    runners.kill(second, signal.SIGINT)
+    assert not is_alive(beat)
+    assert run.finishes == []
+    assert run.attempt == 1
+
+
+def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The machine's clock counts for nothing.
+    monkeypatch.setattr(time, "time", lambda: time.time_ns() / 1e9 + 3600)
+    server.lease_s = MARGIN_S + 3.5
+    runners.start()
+    run = server.launch(LASTING, lease_s=MARGIN_S + 3.5)
+    beat = until_running(runners, run)
+    wait_until(lambda: is_alive(beat))
+    server.is_silent.set()
+    wait_until(lambda: not beat.exists())
+    assert run.finishes == []
+    server.is_silent.clear()
+
+
+def test_a_run_of_another_runner_is_killed(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch(LASTING)
+    beat = until_running(runners, run)
+    run.attempt, run.runner_id = 2, None
+    wait_until(lambda: not beat.exists())
+    assert run.finishes == []
+
+
+def test_a_run_is_cancelled_while_it_runs(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch(LASTING)
+    until_running(runners, run)
+    run.is_cancelled = True
+    finish = ended(run, timeout_s=5).finishes[0]
+    assert finish.reason is EndReason.cancelled
+    assert run.artifacts == {LOG_PATH: b"began\n"}
+
+
+def test_a_run_is_cancelled_while_its_inputs_come(server: FakeServer, runners: Runners) -> None:
+    server.slow_bytes_per_s = 1000
+    runners.start()
+    run = server.launch("print('never')", {"drive.bag": bytes(10**6)})
+    wait_until(lambda: server.requests["GET store"])
+    run.is_cancelled = True
+    assert ended(run, timeout_s=5).finishes[0].reason is EndReason.cancelled
+    assert run.artifacts == {}
+
+
+def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners: Runners) -> None:
+    server.store_refuses.set()
+    runners.start()
+    run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
+    wait_until(lambda: server.requests["/uploads/parts"])
+    run.is_cancelled = True
+    finish = ended(run, timeout_s=5).finishes[0]
+    assert finish.reason is EndReason.cancelled
+    assert "none of them are kept" in finish.problems[0]
+    assert run.artifacts == {}
+
+
+def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: Runners) -> None:
+    run = server.launch("print('done')")
+    runner = runners.start()
+    # As if it had been given to this runner before, and the answer never came.
+    run.state, run.runner_id = RunState.preparing, runner._home.runner_id
+    server.wake()
+    assert ended(run).finishes[0].reason is EndReason.done
+
+
+def test_no_more_is_begun_than_there_is_room_for(server: FakeServer, runners: Runners) -> None:
+    script = (
+        "import time\nfrom kleinkram.action import out\n"
+        "(out / 'from').write_text(repr(time.monotonic()))\ntime.sleep(0.3)\n"
+        "(out / 'to').write_text(repr(time.monotonic()))\n"
+    )
+    runs = [server.launch(script, resources={"cores": cores}) for cores in (1, 2, 0.5, 1, 1.5, 0.5)]
+    runners.start()
+    for run in runs:
+        ended(run)
+    spans = [(float(run.artifacts["from"]), float(run.artifacts["to"]), run.claim.resources.cores) for run in runs]
+    for moment, _, _ in spans:
+        assert sum(cores for begin, end, cores in spans if begin <= moment < end) <= 2
+    assert [len(run.finishes) for run in runs] == [1] * 6
+
+
+def test_a_run_that_needs_more_than_there_is_says_so(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch("", image="debian:12")
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.not_possible
+    assert "runs no images" in finish.message

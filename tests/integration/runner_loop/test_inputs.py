@@ -1,0 +1,47 @@
+"""Inputs come once, proven, and what a run uses stays."""
+
+from __future__ import annotations
+
+from kleinkram.contract.runs import EndReason
+from tests.integration.runner_loop.conftest import Runners, ended
+from tests.integration.runner_loop.fake_server import FakeServer
+
+READ = "import pathlib\nfrom kleinkram.action import places\nprint(places.given.joinpath('drive.bag').read_text())"
+
+
+def test_runs_of_one_input_fetch_it_once(server: FakeServer, runners: Runners) -> None:
+    server.slow_bytes_per_s = 40
+    runners.start()
+    runs = [server.launch(READ, {"drive.bag": b"bytes of a drive"}) for _ in range(3)]
+    for run in runs:
+        assert ended(run).finishes[0].reason is EndReason.done
+        assert run.artifacts[".kleinkram/log"] == b"bytes of a drive\n"
+    assert server.requests["GET store"] == 1
+
+
+def test_an_input_that_is_damaged_is_fetched_once_more_and_never_given(server: FakeServer, runners: Runners) -> None:
+    server.spoilt["drive.bag"] = b"Bytes of a drive"
+    runners.start()
+    run = server.launch(READ, {"drive.bag": b"bytes of a drive"})
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.inputs_unavailable
+    assert "drive.bag is damaged" in finish.message
+    assert server.requests["GET store"] == 2
+
+
+def test_what_came_is_fetched_anew_once_it_was_changed(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
+    (kept,) = runners.folder.glob("cache/*.file")
+    kept.chmod(0o644)
+    kept.write_bytes(b"other bytes")
+    run = ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
+    assert run.artifacts[".kleinkram/log"] == b"bytes of a drive\n"
+    assert server.requests["GET store"] == 2
+
+
+def test_a_path_that_leads_elsewhere_is_refused(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    for path in ("../../escaped", "mission.json", ".kleinkram/script.py"):
+        run = ended(server.launch(READ, {path: b"x"}))
+        assert run.finishes[0].reason is EndReason.inputs_unavailable
