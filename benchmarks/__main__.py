@@ -17,10 +17,12 @@ from typing import Any
 
 import psutil
 
+from benchmarks.claims import claims_row
 from benchmarks.index_bytes import index_bytes
 from benchmarks.measure import Pairing, Run, pair, run_side
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
+from benchmarks.runs import run_rows
 from benchmarks.signing_in import sign_in_row
 from benchmarks.web import web_rows
 from kleinkram.recordings.sample import generate_bag, generate_mcap
@@ -30,7 +32,19 @@ STAGE = ROOT / ".bench"
 DATA = STAGE / "data"
 KLEIN = Path(sys.executable).parent / "klein"
 GB = 1_000_000_000
-ROWS = {"memory", "transfers", "small", "summaries", "recordings", "starts", "people", "rights", "web"}
+ROWS = {
+    "memory",
+    "transfers",
+    "small",
+    "summaries",
+    "recordings",
+    "starts",
+    "people",
+    "rights",
+    "web",
+    "runs",
+    "claims",
+}
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
@@ -61,6 +75,8 @@ def main() -> None:
         with instance() as environment:
             owner_token = (DATA / "owner-token").read_text().strip()
             rows.append(rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"]))
+    if wanted & {"runs", "claims"}:
+        rows += rows_of_runs(wanted)
     if "web" in wanted:
         rows += rows_of_the_web()
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
@@ -78,6 +94,29 @@ def rows_of_an_instance(wanted: set[str]) -> list[dict[str, object]]:
         if "summaries" in wanted:
             rows += summary_rows(environment)
     return rows
+
+
+def rows_of_runs(wanted: set[str]) -> list[dict[str, object]]:
+    """Measure runs and claims, on an instance of their own."""
+    shutil.rmtree(DATA, ignore_errors=True)
+    rows: list[dict[str, object]] = []
+    with instance() as environment:
+        klein("project", "create", "bench")
+        owner_token = (DATA / "owner-token").read_text().strip()
+        if "runs" in wanted:
+            rows += run_rows(told()["url"], owner_token, STAGE / "runs", mission_with)
+        if "claims" in wanted:
+            mission_id = mission_with("claims", random_file(STAGE / "claims.bin", 1000))
+            rows.append(claims_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id))
+    return rows
+
+
+def mission_with(name: str, source: Path) -> str:
+    """Upload a file into a new mission; returns the mission's id."""
+    klein("upload", "-p", "bench", "-m", name, "--create", str(source))
+    settle()
+    found = json.loads(klein("mission", "info", name, "-p", "bench", "--json"))
+    return str(found["mission"]["id"])
 
 
 def rows_of_the_web() -> list[dict[str, object]]:

@@ -37,7 +37,9 @@ INSERT INTO run (id, mission_id, version_id, parameters, network, cores, memory_
 SELECT gen_random_uuid(), mission_id, version_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, labels,
   needs_images, given_sha256, started_by_id, input_count, input_bytes FROM run, generate_series(1, %s) WHERE id = %s
 """
-_LAPSE = "UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s AND attempt = %s AND ended_at IS NULL"
+_LAPSE = (
+    "UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s AND attempt = %s AND ended_at IS NULL"
+)
 
 
 @dataclass
@@ -87,7 +89,7 @@ def claims_row(url: str, owner_token: str, database_url: str, mission_id: str) -
     lab.seconds.sort()
     return {
         "what": f"{_RUNS} claims by {_RUNNERS} runners, one in {_KILLED_ONE_IN} killed with its run",
-        "measured": f"{twice} begun twice by one attempt, {lab.believed} dead runners believed, {ended} of {count} ended",
+        "measured": f"{twice} begun twice, {lab.believed} dead runners believed, {ended} of {count} ended",
         "bar": "0, 0, all",
         "met": good,
         "also": f"{len(lab.begun) / took:.0f} claims/s, median {lab.seconds[len(lab.seconds) // 2] * 1000:.0f} ms; "
