@@ -1,0 +1,96 @@
+"""Actions that are images, as who writes one meets them: built here, and run in a container."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+import kleinkram
+from tests.acceptance.conftest import Terminal
+from tests.integration.runner import engines
+from tests.integration.runner.conftest import docker  # noqa: F401  a fixture
+from tests.integration.runner.engines import Dockerd
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "actions" / "extract-metadata"
+STOCK = "kleinkram/action-python:latest"
+
+
+@pytest.fixture
+def containers(docker: Dockerd, terminal: Terminal, tmp_path: Path) -> Terminal:  # noqa: F811  the fixture
+    """A terminal beside an engine that has an image with open-kleinkram, under the name of the stock image."""
+    context = tmp_path / "base"
+    copy_package(context / "site")
+    for library in sorted({each for file in context.rglob("*.so*") for each in libraries_of(file)}):
+        target = context / "libs" / library[1:]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(Path(library).resolve(), target)
+    (context / "Dockerfile").write_text(f"FROM {engines.IMAGE}\nCOPY libs /\nCOPY site /site\nENV PYTHONPATH=/site\n")
+    docker.docker("build", "--quiet", "--tag", STOCK, str(context))
+    return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
+
+
+def copy_package(site: Path) -> None:
+    """Copy open-kleinkram as it is here, with what a base installation needs."""
+    ours = metadata.distribution("open-kleinkram")
+    waiting, seen = [*(ours.requires or []), "numpy", "packaging"], set[str]()
+    while waiting:
+        wanted = Requirement(waiting.pop())
+        name = re.sub(r"[-_.]+", "-", wanted.name).lower()
+        if name in seen or (wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})):
+            continue
+        seen.add(name)
+        distribution = metadata.distribution(name)
+        waiting += distribution.requires or []
+        for file in distribution.files or []:
+            if ".." not in file.parts and file.suffix != ".pyc":
+                (site / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(str(distribution.locate_file(file)), site / file)
+    package = Path(kleinkram.__file__).parent
+    shutil.copytree(package, site / "kleinkram", ignore=shutil.ignore_patterns("server", "__pycache__"))
+
+
+def libraries_of(file: Path) -> list[str]:
+    """Return the libraries of the system that a compiled file needs."""
+    said = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
+    return [word for word in said.split() if word.startswith(("/lib", "/usr/lib")) and ":" not in word]
+
+
+@pytest.mark.slow
+def test_the_shipped_action_says_the_same_as_an_image(
+    containers: Terminal, project: str, recordings_dir: Path, tmp_path: Path
+) -> None:
+    bag = recordings_dir / "ros1" / "robot_localization_test2_imu_odom_bz2.bag"
+    mission = ("-p", project, "-m", "drive")
+    containers.run("upload", *mission, "--create", "--wait", bag)
+    run = ("action", "run-local", *mission, "--json", "--out")
+
+    image = containers.run(*run, tmp_path / "image", EXAMPLE)
+    assert "Running extract-metadata in a container." in image.err
+    script = containers.run(*run, tmp_path / "script", EXAMPLE / "extract_metadata.py")
+    assert "Running extract-metadata as a p" in script.err
+    assert image.json()["report"]["metadata"]["distance_m"] > 80
+    for said in ("metrics", "metadata", "findings"):
+        assert image.json()["report"][said] == script.json()["report"][said]
+    assert (tmp_path / "image" / "track.csv").read_bytes() == (tmp_path / "script" / "track.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_what_init_makes_runs_as_it_is(containers: Terminal, project: str, tmp_path: Path) -> None:
+    containers.run("sample", tmp_path / "drive", "--size", "2MB", "--format", "mcap")
+    containers.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
+    containers.run("action", "init", tmp_path / "counting", "--image")
+    run = ("action", "run-local", tmp_path / "counting", "-p", project, "-m", "drive", "--out")
+
+    ran = containers.run(*run, tmp_path / "found")
+    assert "messages" in ran.out
+    assert "drive.mcap,/imu/data," in (tmp_path / "found" / "topics.csv").read_text()
+
+    manifest = tmp_path / "counting" / "action.yaml"
+    manifest.write_text(manifest.read_text().replace("counting:1", "127.0.0.1:1/nobody/has:it"))
+    refused = containers.run(*run, tmp_path / "none", "--no-build", code=14)
+    assert "127.0.0.1:1/nobody/has:it" in refused.err
