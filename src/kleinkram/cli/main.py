@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "action": ("kleinkram.cli.action", "app", "What to run on the data: init, run-local, create, run, list, info."),
     "run": ("kleinkram.cli.run", "app", "Runs of actions: list, info, logs, cancel, retry, artifacts, findings."),
     "lineage": ("kleinkram.cli.lineage", "lineage", "Where a file comes from, and what came from it."),
+    "runner": ("kleinkram.cli.runner", "app", "Machines that run actions: start, list."),
     "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
     "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
     "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),

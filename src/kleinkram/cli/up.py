@@ -46,11 +46,12 @@ def up(
         Path | None, typer.Option(metavar="F", help="Certificate (PEM), for the API and the store.")
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="F", help="Its private key (PEM).")] = None,
+    runner: Annotated[bool, typer.Option("--runner/--no-runner", help="Run actions on this machine, too.")] = True,
     as_json: Annotated[
         bool, typer.Option("--json", help="Say where it answers as one line of JSON on stdout, once it does.")
     ] = False,
 ) -> None:
-    """Run Kleinkram on this machine: PostgreSQL, S3, API and worker. Ctrl-C or `klein down` ends it."""
+    """Run Kleinkram on this machine: PostgreSQL, S3, API, worker and runner. Ctrl-C or `klein down` ends it."""
     from kleinkram.standalone.__main__ import arguments
     from kleinkram.standalone.address import Listening
     from kleinkram.standalone.plan import UpOptions
@@ -66,6 +67,7 @@ def up(
             tls_key=tls_key.resolve() if tls_key else None,
         ),
         is_default_data_dir=_resolve(data_dir) == _resolve(None),
+        with_runner=runner,
         as_json=as_json,
     )
     # The supervisor stays for long: as a process of its own kind it needs a third of this one's memory.

@@ -20,6 +20,7 @@ from kleinkram.client.missions import Missions
 from kleinkram.client.people import People
 from kleinkram.client.projects import Projects
 from kleinkram.client.recordings import Recordings
+from kleinkram.client.runners import Runners
 from kleinkram.client.runs import Runs
 from kleinkram.client.search import Search
 from kleinkram.client.service import Service
@@ -46,6 +47,7 @@ class Client:
         self.uploads = Uploads(api)
         self.actions = Actions(api)
         self.runs = Runs(api)
+        self.runners = Runners(api)
         self.access = Access(api)
         self.groups = Groups(api)
         self.people = People(api)

@@ -25,6 +25,8 @@ from kleinkram.runner.machine import Share
 from kleinkram.runner.runner import Runner, RunnerOptions
 from kleinkram.runner.token import find_token
 
+STOCK_IMAGE = "kleinkram/action-python:latest"
+
 
 class Arguments(BaseModel):
     """All that a runner can be told. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file."""
@@ -42,7 +44,7 @@ class Arguments(BaseModel):
     cache_bytes: int | None = None
     gpus: int = 0
     executor: ExecutorChoice = ExecutorChoice.auto
-    stock_image: str | None = None
+    stock_image: str = STOCK_IMAGE
     pull: Pull = Pull.missing
     registries: list[str] | None = None
     once: bool = False

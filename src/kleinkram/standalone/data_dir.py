@@ -49,6 +49,21 @@ class DataDir:
         return self.root / "owner-token"
 
     @property
+    def runner_token_file(self) -> Path:
+        """The token of the instance's own runner."""
+        return self.root / "runner-token"
+
+    @property
+    def runner(self) -> Path:
+        """What the instance's own runner keeps: its runs and their inputs."""
+        return self.root / "runner"
+
+    @property
+    def certificates_file(self) -> Path:
+        """With TLS, whom the instance's own runner believes."""
+        return self.root / "certificates.pem"
+
+    @property
     def secrets_file(self) -> Path:
         """Passwords and keys of the parts."""
         return self.root / "secrets.json"

@@ -5,9 +5,10 @@ The owner's token goes with the question: to this machine only, and with TLS onl
 
 import http.client
 import json
-import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
+
+from kleinkram.standalone.trust import just_this
 
 
 def ask_owner_link(api_url: str, token: str, *, certificate: Path | None = None, timeout_s: float = 5) -> str | None:
@@ -21,7 +22,7 @@ def ask_owner_link(api_url: str, token: str, *, certificate: Path | None = None,
     connection = (
         http.client.HTTPConnection(host, timeout=timeout_s)
         if certificate is None
-        else http.client.HTTPSConnection(host, timeout=timeout_s, context=_just_this(certificate))
+        else http.client.HTTPSConnection(host, timeout=timeout_s, context=just_this(certificate))
     )
     try:
         headers = {"Authorization": f"Bearer {token}", "Content-Length": "0"}
@@ -31,11 +32,3 @@ def ask_owner_link(api_url: str, token: str, *, certificate: Path | None = None,
     finally:
         connection.close()
     return None if answer.status != 200 else str(json.loads(body)["url"])
-
-
-def _just_this(certificate: Path) -> ssl.SSLContext:
-    """Return a context that takes one certificate, whoever signed it and whatever name it is for."""
-    context = ssl.create_default_context(cafile=str(certificate))
-    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
-    context.check_hostname = False
-    return context

@@ -12,7 +12,9 @@ from kleinkram.standalone.binaries import locate_postgres, locate_weed
 from kleinkram.standalone.child import Command
 from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
 from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords
+from kleinkram.standalone.runner_part import RunnerPart
 from kleinkram.standalone.store import BUCKET, PORT_NAMES, StoreFolder
+from kleinkram.standalone.trust import bundle_with
 
 SERVER = (sys.executable, "-m", "kleinkram.server")
 DOOR = (sys.executable, "-m", "kleinkram.standalone.door")
@@ -21,17 +23,23 @@ DOOR = (sys.executable, "-m", "kleinkram.standalone.door")
 _THRIFT = {"KLEINKRAM_DATABASE_CONNECTIONS": "4", "MALLOC_ARENA_MAX": "2"}
 
 
+# Where an engine of containers is, and which certificates are believed.
+_ENGINE = ("DOCKER_HOST", "DOCKER_CONFIG", "XDG_RUNTIME_DIR", "SSL_CERT_FILE", "SSL_CERT_DIR")
+
+
 @dataclass(frozen=True)
 class UpOptions:
     """What the caller of `klein up` chose. `server` is the command whose subcommands are migrate, api and worker.
 
-    `as_json`: the one line of output is what `instance.json` holds, instead of a sentence.
+    `with_runner`: it runs actions here, too. `as_json`: the one line of output is what `instance.json` holds, not a
+    sentence.
     """
 
     data_dir: Path
     listening: Listening = field(default_factory=Listening)
     server: tuple[str, ...] = SERVER
     is_default_data_dir: bool = False
+    with_runner: bool = True
     as_json: bool = False
 
 
@@ -47,6 +55,7 @@ class Plan:
     store_public_url: str
     postgres: PostgresCluster
     store: StoreFolder
+    with_runner: bool
 
     def server_process(self, name: str, *arguments: str) -> Command:
         """One of the server's processes; only `migrate` learns the password of the role that owns the schema."""
@@ -74,12 +83,47 @@ class Plan:
             directory=self.data_dir.root,
         )
 
+    def runner(self) -> Command | None:
+        """What runs actions here; None where nobody wants that."""
+        if not self.with_runner:
+            return None
+        certificate = self.listening.tls_cert
+        # By TLS, it has to call the API as the certificate does.
+        url = self.local_url if certificate is None else self.public_url
+        environment = {**_THRIFT, **{name: os.environ[name] for name in _ENGINE if name in os.environ}}
+        if certificate is not None:
+            write_private(self.data_dir.certificates_file, bundle_with(certificate))
+            environment.setdefault("SSL_CERT_FILE", str(self.data_dir.certificates_file))
+        said: dict[str, object] = {
+            "url": url,
+            "data_dir": str(self.data_dir.runner),
+            "name": "klein-up",
+            "token_file": str(self.data_dir.runner_token_file),
+            "log_format": "json",
+        }
+        if stock_image := os.environ.get("KLEINKRAM_STOCK_IMAGE"):
+            said["stock_image"] = stock_image
+        given = str(certificate) if certificate else None
+        part = RunnerPart(self.local_url, given, str(self.data_dir.token_file), said)
+        return Command(
+            arguments=part.command(),
+            data_dir=self.data_dir.root,
+            log=self.data_dir.log("runner"),
+            environment=environment,
+            directory=self.data_dir.root,
+        )
+
+    @property
+    def local_url(self) -> str:
+        """The API's address from this machine."""
+        return f"{self.listening.scheme}://{self.listening.local_host}:{self.ports['api']}"
+
     def ports_of(self, part: str) -> list[str]:
         """The names of the ports that a part listens on."""
         if part == "store":
             own = [name for name in PORT_NAMES if name != "s3" and (name != "s3_tls" or self.listening.tls)]
             return [*own, "s3" if self.listening.needs_door else "store"]
-        return {"door": ["store"], "worker": []}.get(part, [part])
+        return {"door": ["store"], "worker": [], "runner": []}.get(part, [part])
 
     def api_arguments(self) -> list[str]:
         """Where the API listens, and that it waits for a word before it looks for database and store."""
@@ -129,6 +173,7 @@ def make_plan(options: UpOptions) -> Plan:
             secret_key=secrets.s3_secret_key,
             tls=listening.tls,
         ),
+        with_runner=options.with_runner,
     )
 
 

@@ -120,9 +120,12 @@ class Supervisor:
             self._wait(lambda: health.answers(local_store_url(plan)), self.parts["door"])
         self._api_may_begin = True
         child.tell(api.child)
-        self._wait(lambda: health.is_ready(local_url(plan)), api)
+        self._wait(lambda: health.is_ready(plan.local_url), api)
         # Last: nobody waits for it, and its imports would take their share of the time to the first answer.
         self._launch("worker", lambda: child.spawn(plan.server_process("worker")))
+        if runner := plan.runner():
+            # Asked to end like this, it ends its runs: nothing of Kleinkram is left on the machine.
+            self._launch("runner", lambda: child.spawn(runner), stop_signal=signal.SIGINT)
         note_version(plan.data_dir)
         self._tell()
 
@@ -148,7 +151,7 @@ class Supervisor:
 
     def stop(self) -> None:
         """End all parts: those that use others first."""
-        for name in ("worker", "api", "door", "store", "postgres"):
+        for name in ("runner", "worker", "api", "door", "store", "postgres"):
             if running := self.parts.pop(name, None):
                 running.stop()
         self.plan.data_dir.instance_file.unlink(missing_ok=True)
@@ -272,18 +275,13 @@ class Supervisor:
             "data_dir": str(plan.data_dir.root),
             "token_file": str(plan.data_dir.token_file),
             "store_url": plan.store_public_url,
-            "local_url": local_url(plan),
+            "local_url": plan.local_url,
             "version": kleinkram.__version__,
             "started_at": self.started_at.isoformat(),
             "pid": os.getpid(),
             "ports": dict(plan.ports),
             "parts": {name: running.pid for name, running in self.parts.items()},
         }
-
-
-def local_url(plan: Plan) -> str:
-    """The API's address from this machine."""
-    return f"{plan.listening.scheme}://{plan.listening.local_host}:{plan.ports['api']}"
 
 
 def local_store_url(plan: Plan) -> str:
@@ -336,7 +334,7 @@ def _greet(supervisor: Supervisor, options: UpOptions) -> None:
     if options.as_json:
         lines = [json.dumps(supervisor.told())]
     elif sys.stdout.isatty():
-        lines = [greeting(plan, options), invitation(plan, local_url(plan))]
+        lines = [greeting(plan, options), invitation(plan, plan.local_url)]
     else:
         lines = [greeting(plan, options)]
     for line in lines:

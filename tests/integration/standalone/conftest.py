@@ -39,7 +39,7 @@ class Instance:
 
     def spawn(self, *, stdout: int = subprocess.PIPE, **changes: Any) -> "subprocess.Popen[str]":
         """Start a supervisor; does not wait for it."""
-        given = {"listening": self.listening, "server": FAKE_SERVER, **changes}
+        given = {"listening": self.listening, "server": FAKE_SERVER, "with_runner": False, **changes}
         process = subprocess.Popen(
             arguments(UpOptions(data_dir=self.data_dir, **given)),
             stdout=stdout,
