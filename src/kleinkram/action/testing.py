@@ -24,7 +24,7 @@ from pathlib import Path
 from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.manifest import MANIFEST, read_manifest
-from kleinkram.contract.actions import ParameterValues
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, ContentState, FileRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
@@ -81,10 +81,7 @@ def try_out(
     """
     code = Path(script).resolve()
     definition = read_manifest(code.parent if (code.parent / MANIFEST).exists() else code)
-    try:
-        values = definition.fill_in(parameters or {})
-    except ValueError as error:
-        raise InvalidInput(what="The parameters", reason=str(error)) from error
+    values = _filled_in(definition, parameters or {})
     places = {name: folder / name for name in ("in", "out", "tmp")}
     for place in places.values():
         place.mkdir()
@@ -111,6 +108,13 @@ def try_out(
         check=False,
     )
     return Tried(ran.returncode, ran.stdout, places["out"], _said(places["out"]))
+
+
+def _filled_in(definition: ActionDefinition, given: ParameterValues) -> ParameterValues:
+    try:
+        return definition.fill_in(given)
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from error
 
 
 def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:

@@ -78,15 +78,13 @@ def run(
             return
         if not missions and len(found) > 1:
             confirm(f"Run {action} on these {len(found)} missions: {names}?", yes)
-        outcomes = [
-            *client.runs.launch(
-                wanted.action.id if wanted.action else wanted.definition,
-                [each.id for each in found],
-                version=wanted.version,
-                parameters=values,
-                force=force,
-            )
-        ]
+        outcomes = client.runs.launch(
+            wanted.action.id if wanted.action else wanted.definition,
+            [each.id for each in found],
+            version=wanted.version,
+            parameters=values,
+            force=force,
+        )
         _show(client, found, outcomes, follow_it=follow_it, as_json=as_json)
 
 

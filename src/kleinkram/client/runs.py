@@ -1,6 +1,5 @@
 """Runs, for programs: launch, follow, end, and fetch what they said and left."""
 
-import itertools
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -60,13 +59,13 @@ class Runs:
         version: int | None = None,
         parameters: ParameterValues | None = None,
         force: bool = False,
-    ) -> Iterator[RunMade | RunRefused]:
-        """Run an action on each of some missions; yield how it went with each, in order, however many they are.
+    ) -> Sequence[RunMade | RunRefused]:
+        """Run an action on each of some missions, and return how it went with each, in order, however many they are.
 
         The action is a published one by its id, in its latest version unless another is named; or a definition, which
         is run without being published. Results of an earlier good run with the very same version, parameters and inputs
         are taken over, and the run is `done` at once, unless `force`. A mission on which it may not run has a
-        `RunRefused`, and keeps no other from being run. Nothing is launched before the first is asked for.
+        `RunRefused`, and keeps no other from being run.
 
         Raises:
             InvalidInput: the request cannot be made of these.
@@ -76,10 +75,11 @@ class Runs:
         said: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
         if version is not None:
             said["version"] = version
-        ids = iter(mission_ids)
-        while some := [*itertools.islice(ids, MAX_LAUNCHED)]:
-            body = checked(RunsCreate, "The run", mission_ids=some, **said)
-            yield from self._api.send("POST", "/runs", RunsMade, body).items
+        ids, outcomes = [*mission_ids], []
+        for start in range(0, len(ids), MAX_LAUNCHED):
+            body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **said)
+            outcomes += self._api.send("POST", "/runs", RunsMade, body).items
+        return outcomes
 
     def list(self, matching: RunFilter | None = None, *, limit: int | None = None) -> Iterator[RunRead]:
         """Yield the runs that match, latest first."""
