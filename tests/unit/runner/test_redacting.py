@@ -1,0 +1,45 @@
+"""No secret leaves a log, however the log is cut; and nothing else does."""
+
+from __future__ import annotations
+
+import random
+
+from kleinkram.runner.redacting import Redactor
+
+TOKEN = "klein_run_" + "t" * 43 + "abcdef"
+SIGNED = b"https://store/x?X-Amz-Credential=key%2F2026&X-Amz-Signature=" + b"0123456789abcdef" * 4 + b"&"
+
+
+def cleaned(redactor: Redactor, data: bytes, most_bytes: int) -> bytes:
+    """Clean a log piece by piece, as it is followed."""
+    out, at = b"", 0
+    while at < len(data):
+        window = data[at : at + most_bytes]
+        size = redactor.cut(window, most_bytes) if len(window) == most_bytes else len(window)
+        out += redactor.clean(window[:size])
+        at += size
+    return out
+
+
+def test_pieces_are_what_the_whole_is() -> None:
+    redactor = Redactor(["a secret that only the runner knows"])
+    parts = [TOKEN.encode(), SIGNED, b"a secret that only the runner knows", b"\n", b"x" * 300, b" words ", b"\r"]
+    chance = random.Random(7)
+    for _ in range(60):
+        data = b"".join(chance.choice(parts) for _ in range(40))
+        whole = redactor.clean(data)
+        assert cleaned(redactor, data, 2048) == whole
+        assert TOKEN[10:].encode() not in whole
+        assert b"0123456789abcdef" not in whole
+        assert b"only the runner" not in whole
+
+
+def test_a_line_is_waited_for() -> None:
+    redactor = Redactor([])
+    assert redactor.cut(b"half a line", 100) == 0
+    assert redactor.cut(b"a line\nhalf", 100) == 7
+
+
+def test_what_is_no_secret_stays() -> None:
+    data = b"klein_run_short klein_project X-Amz-Date=2026 \xff\xfe\n" + bytes(range(256))
+    assert Redactor([TOKEN]).clean(data) == data
