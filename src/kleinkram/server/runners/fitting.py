@@ -35,6 +35,11 @@ async def is_owners_alone(db: Connection) -> bool:
     return bool((await db.execute(active)).scalar_one() <= 1)
 
 
+def runs_scripts(each: Row[Any], abilities: Abilities) -> bool:
+    """Say whether a runner has what scripts run on: an image for that, where it runs images; its own Python, else."""
+    return not abilities.images or each.stock_image is not None
+
+
 def refusal(run: Row[Any], each: Row[Any], *, owners_alone: bool) -> str | None:
     """Return why a runner could never do a run; None where it could, once enough of it is free."""
     abilities = Abilities.model_validate(each.abilities)
@@ -45,6 +50,8 @@ def refusal(run: Row[Any], each: Row[Any], *, owners_alone: bool) -> str | None:
         return f"it has no label {lacking[0]}"
     if run.needs_images and not abilities.images:
         return "it has no engine of containers, and the action is an image"
+    if not run.needs_images and not runs_scripts(each, abilities):
+        return "it has no image that scripts run on"
     if Network(run.network) not in abilities.networks:
         return f"its runs cannot have the network {run.network!r}"
     if run.gpus and not abilities.gpus:

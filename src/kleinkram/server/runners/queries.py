@@ -9,7 +9,7 @@ from sqlalchemy import ARRAY, Row, Select, Text, func, literal, or_, select
 from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, Isolation, RunnerRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.pages import Order
-from kleinkram.server.runners.fitting import is_alive
+from kleinkram.server.runners.fitting import is_alive, runs_scripts
 from kleinkram.server.tables import action, action_version, mission, project, run, runner
 from kleinkram.server.tables.run import HELD
 
@@ -83,6 +83,7 @@ def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[An
         & run.c.labels.op("<@", is_comparison=True)(literal(row.labels, ARRAY(Text)))
         & run.c.network.in_([network.value for network in abilities.networks])
         & or_(~run.c.needs_images, literal(abilities.images))
+        & or_(run.c.needs_images, literal(runs_scripts(row, abilities)))
     )
     live = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None)
     queued = _with_definition().where(run.c.state == "queued", live, fits)
