@@ -15,16 +15,22 @@ _KNOWN = (
     rb"(X-Amz-(?:Signature|Credential|Security-Token)=)[0-9A-Za-z%/._+-]{1,256}",
 )
 
+_MARKS = (b"klein_", b"X-Amz-")
+
 
 class Redactor:
     """Takes out what it was told, and what it knows."""
 
     def __init__(self, secrets: Collection[str]) -> None:
-        told = [re.escape(secret.encode()) for secret in secrets if _SHORTEST <= len(secret) <= _LONGEST // 2]
-        self._pattern = re.compile(b"|".join([*told, *_KNOWN]))
+        told = [secret.encode() for secret in secrets if _SHORTEST <= len(secret) <= _LONGEST // 2]
+        self._pattern = re.compile(b"|".join([*map(re.escape, told), *_KNOWN]))
+        # Looked for first: most of what is written has none of these, and a pattern is a hundred times slower.
+        self._marks = [*told, *_MARKS]
 
     def clean(self, data: bytes) -> bytes:
         """Return text without secrets. It may be a piece as `cut` tells."""
+        if not any(mark in data for mark in self._marks):
+            return data
         return self._pattern.sub(lambda found: (found.group(1) or b"") + REDACTED, data)
 
     def cut(self, data: bytes, most_bytes: int) -> int:
