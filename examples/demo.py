@@ -39,6 +39,29 @@ operator: Ada
 temperature: 7.5 degC
 location: {latitude: 46.5475, longitude: 7.9808, name: Jungfraujoch}
 """
+# An action is one file: what it needs stands in its first comment.
+ACTION = """\
+# /// script
+# dependencies = ["open-kleinkram"]
+#
+# [tool.kleinkram]
+# description = "How often the IMU speaks, and a table of it"
+# inputs = {topics = ["*imu*"]}
+# right = "CREATE"
+# ///
+from kleinkram.action import context, out, progress, report
+
+rows = ["file,topic,rate_hz"]
+said = [topic for topic in context().topics if "imu" in topic.name and topic.rate_hz]
+paths = {file.id: file.path for file in context().files}
+for number, topic in enumerate(said, 1):
+    progress(number / len(said), topic.name)
+    print(f"{paths[topic.file_id]}: {topic.name} at {topic.rate_hz:.1f} Hz", flush=True)
+    report.metric("imu_rate", topic.rate_hz, unit="Hz", file=paths[topic.file_id])
+    rows.append(f"{paths[topic.file_id]},{topic.name},{topic.rate_hz:.3f}")
+(out / "imu_rates.csv").write_text("\\n".join(rows) + "\\n")
+report.put_back("imu_rates.csv", "derived/imu_rates.csv")
+"""
 
 
 class Failed(Exception):
@@ -134,7 +157,7 @@ def running_instance(story: Story) -> Iterator[None]:
         subprocess.run([KLEIN, "down"], env=environment(), capture_output=True, check=False)
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir()
-    with story.step("Start Kleinkram: PostgreSQL, S3, API and worker, as one command"):
+    with story.step("Start Kleinkram: PostgreSQL, S3, API, worker and runner, as one command"):
         print("$ klein up", flush=True)
         process = subprocess.Popen([KLEIN, "up"], env=environment(), stdout=subprocess.PIPE, text=True, cwd=STAGE)
         line = process.stdout.readline() if process.stdout else ""
@@ -189,7 +212,24 @@ def tell(story: Story) -> None:
     with story.step("Get it back, and prove that every byte is the same"):
         klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")
         compare(STAGE / "field-day", STAGE / "back")
+    run_an_action(story)
     kill_and_resume(story)
+
+
+def run_an_action(story: Story) -> None:
+    """Run a script where the data is: its live log, a metric, what it leaves, and where that comes from."""
+    mission = ("-p", "alpine", "-m", "jungfraujoch-1")
+    (runner,) = json.loads(klein("runner", "list", "--json", show=False))["items"]
+    kind = {"docker": "a container", "process": "a process, since no engine of containers is here"}
+    with story.step(f"Run a script on the mission, as {kind[runner['abilities']['executor']]}"):
+        (STAGE / "imu_rate.py").write_text(ACTION)
+        klein("action", "run", "imu_rate.py", *mission, "--follow")
+        (run,) = json.loads(klein("run", "list", "-p", "alpine", "--json", show=False))["items"]
+        if (run["state"], run["metric_count"] > 0, run["artifact_count"]) != ("done", True, 1):
+            raise Failed(f"the run did not end as it should: {run}")
+    with story.step("What it left, and where that comes from"):
+        klein("run", "artifacts", run["id"], "--download", "artifacts")
+        klein("lineage", "derived/imu_rates.csv", *mission)
 
 
 def compare(source: Path, copy: Path) -> None:
