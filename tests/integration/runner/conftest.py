@@ -90,20 +90,15 @@ def missing(what: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def docker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dockerd]:
+def docker() -> Iterator[Dockerd]:
     """A Docker of the tests' own, with an image of this Python."""
     if os.geteuid() != 0:
         missing("a Docker of the tests' own needs root")
     if wanted := engines.missing_programs():
         missing(f"not installed: {', '.join(wanted)} (Debian): KLEINKRAM_TEST_INSTALL=1 installs them")
-    with engines.bridge() as (name, gateway):
-        engine = Dockerd(tmp_path_factory.mktemp("docker"), name, gateway)
-        engine.start()
-        try:
-            engine.load(engines.IMAGE, root=engines.python_root())
-            yield engine
-        finally:
-            engine.end()
+    with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as made:
+        made.load(engines.IMAGE, root=engines.python_root())
+        yield made
 
 
 def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Bench:

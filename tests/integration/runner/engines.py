@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import os
 import shutil
-import signal
+import socket
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,13 +23,18 @@ from kleinkram.runner.docker.engine import Engine, EngineAway
 
 IMAGE = "kleinkram.test/python"
 # The tests' own package, not Debian's choice of options: `dockerd` alone, without the system's service.
-_PACKAGES = {"dockerd": "docker.io", "docker": "docker.io", "docker-registry": "docker-registry"}
+_PACKAGES = {
+    "dockerd": "docker.io",
+    "containerd": "docker.io",
+    "docker": "docker.io",
+    "docker-registry": "docker-registry",
+}
 _LEFT_OUT = {"test", "tests", "idlelib", "tkinter", "lib2to3", "ensurepip", "site-packages", "turtledemo", "pydoc_data"}
 
 
 def missing_programs() -> list[str]:
     """Return what must be installed for these tests; installs it where that is allowed."""
-    wanted = [each for each in _PACKAGES if _path_of(each) is None]
+    wanted = [each for each in _PACKAGES if path_of(each) is None]
     if wanted and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
         # Nothing of it shall be started: tests have their own.
         policy = Path("/usr/sbin/policy-rc.d")
@@ -44,10 +52,11 @@ def missing_programs() -> list[str]:
         finally:
             if is_mine:
                 policy.unlink()
-    return [each for each in _PACKAGES if _path_of(each) is None]
+    return [each for each in _PACKAGES if path_of(each) is None]
 
 
-def _path_of(program: str) -> str | None:
+def path_of(program: str) -> str | None:
+    """Return where a program is, also one that is for root alone."""
     return shutil.which(program, path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
 
@@ -77,6 +86,7 @@ class Dockerd:
     gateway: str = "127.0.0.1"
     options: tuple[str, ...] = ()
     process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    containerd: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
     @property
     def socket(self) -> Path:
@@ -88,29 +98,39 @@ class Dockerd:
 
     def start(self) -> None:
         """Start it, again after `kill`, and wait until it answers."""
-        self.folder.mkdir(exist_ok=True)
         (self.folder / "none.json").write_text("{}")
-        program = _path_of("dockerd")
-        assert program is not None
-        environment = {**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin", "DOCKER_CONFIG": str(self.folder)}
-        with (self.folder / "dockerd.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                [
-                    *(program, "--host", f"unix://{self.socket}", "--config-file", self.folder / "none.json"),
-                    *("--data-root", self.folder / "data", "--exec-root", self.folder / "exec"),
-                    *("--pidfile", self.folder / "docker.pid", "--bridge", self.bridge),
-                    *("--iptables=false", "--ip-masq=false", *self.options),
-                ],
-                stdout=log,
-                stderr=log,
-                env=environment,
-                start_new_session=True,
+        state, data = self.folder / "state", self.folder / "data"
+        if self.containerd is None:
+            self.containerd = self._run(
+                *("containerd", "--config", "/dev/null", "--address", state / "containerd.sock"),
+                *("--root", data / "containerd", "--state", state / "containerd"),
             )
+        (self.folder / "docker.pid").unlink(missing_ok=True)
+        self.process = self._run(
+            *("dockerd", "--host", f"unix://{self.socket}", "--config-file", self.folder / "none.json"),
+            *("--data-root", data, "--exec-root", state, "--pidfile", self.folder / "docker.pid"),
+            *(
+                "--containerd",
+                state / "containerd.sock",
+                "--bridge",
+                self.bridge,
+                "--iptables=false",
+                "--ip-masq=false",
+            ),
+            *self.options,
+        )
         until = time.monotonic() + 60
         while not self._answers():
             assert self.process.poll() is None, (self.folder / "dockerd.log").read_text()[-3000:]
             assert time.monotonic() < until, "dockerd does not answer"
             time.sleep(0.05)
+
+    def _run(self, program: str, *words: str | Path) -> subprocess.Popen[bytes]:
+        found = path_of(program)
+        assert found is not None
+        environment = {"PATH": f"{os.environ['PATH']}:/usr/sbin", "HOME": str(self.folder)}
+        with (self.folder / f"{program}.log").open("ab") as log:
+            return subprocess.Popen([found, *words], stdout=log, stderr=log, env=environment, start_new_session=True)
 
     def _answers(self) -> bool:
         try:
@@ -122,33 +142,42 @@ class Dockerd:
     def kill(self) -> None:
         """Kill it as nobody should."""
         assert self.process is not None
-        self.process.send_signal(signal.SIGKILL)
+        self.process.kill()
         self.process.wait()
-        (self.folder / "docker.pid").unlink(missing_ok=True)
 
     def end(self) -> None:
-        """Remove all containers and end it."""
-        if self.process is None or self.process.poll() is not None:
-            return
+        """Remove all containers and end it, with all that it has mounted."""
         for name, _ in self.engine.labelled("kleinkram.run"):
             self.engine.remove(name)
-        self.process.terminate()
-        self.process.wait(30)
+        for each in (self.process, self.containerd):
+            assert each is not None
+            each.terminate()
+            each.wait(30)
+        places = [line.split()[1] for line in Path("/proc/mounts").read_text().splitlines()]
+        for place in reversed([each for each in places if Path(each).is_relative_to(self.folder)]):
+            subprocess.run(["umount", "--lazy", place], check=False)
 
     def docker(self, *words: str, given: bytes | None = None) -> str:
         """Run Docker's own command line on it."""
-        program = _path_of("docker")
+        program = path_of("docker")
         assert program is not None
         environment = {"PATH": os.environ["PATH"], "DOCKER_HOST": f"unix://{self.socket}", "HOME": str(self.folder)}
         done = subprocess.run([program, *words], input=given, capture_output=True, env=environment, check=False)
         assert done.returncode == 0, f"docker {' '.join(words)}: {done.stderr.decode()}"
         return done.stdout.decode().strip()
 
-    def load(self, name: str, *changes: str, root: bytes, platform: str | None = None) -> str:
+    def load(self, name: str, *changes: str, root: bytes) -> str:
         """Make an image of the files of a tar, and return its id."""
         said = [word for change in changes for word in ("--change", change)]
-        chosen = ["--platform", platform] if platform else []
-        return self.docker("import", *chosen, *said, "-", name, given=root)
+        return self.docker("import", *said, "-", name, given=root)
+
+    def load_foreign(self, name: str, root: bytes, architecture: str) -> None:
+        """Make an image for another kind of machine of the files of a tar."""
+        layer = f"sha256:{hashlib.sha256(root).hexdigest()}"
+        facts = {"architecture": architecture, "os": "linux", "rootfs": {"type": "layers", "diff_ids": [layer]}}
+        manifest = [{"Config": "config.json", "RepoTags": [name], "Layers": ["layer.tar"]}]
+        files = {"config.json": json.dumps(facts), "manifest.json": json.dumps(manifest)}
+        self.docker("load", given=root_of({**{key: text.encode() for key, text in files.items()}, "layer.tar": root}))
 
 
 def python_root() -> bytes:
@@ -190,3 +219,73 @@ def _folder(tar: tarfile.TarFile, name: str) -> None:
     entry = tarfile.TarInfo(name)
     entry.type, entry.mode = tarfile.DIRTYPE, 0o755
     tar.addfile(entry)
+
+
+@contextmanager
+def dockerd(bridge: str = "none", gateway: str = "127.0.0.1", *options: str) -> Iterator[Dockerd]:
+    """Start a Docker in a folder of its own, which is gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="klein-docker-") as folder:
+        made = Dockerd(Path(folder), bridge, gateway, options)
+        made.start()
+        try:
+            yield made
+        finally:
+            made.end()
+
+
+@dataclass
+class Registry:
+    """A registry of the tests' own: Debian's `docker-registry`, without TLS on this machine alone."""
+
+    folder: Path
+    port: int
+    process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+
+    @property
+    def place(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        program = path_of("docker-registry")
+        assert program is not None
+        self.folder.mkdir(exist_ok=True)
+        settings = {
+            "version": "0.1",
+            "log": {"level": "error"},
+            "storage": {"filesystem": {"rootdirectory": str(self.folder / "data")}},
+            "http": {"addr": self.place},
+        }
+        (self.folder / "config.json").write_text(json.dumps(settings))
+        with (self.folder / "registry.log").open("ab") as log:
+            self.process = subprocess.Popen([program, "serve", self.folder / "config.json"], stdout=log, stderr=log)
+        until = time.monotonic() + 30
+        while not self._answers():
+            assert time.monotonic() < until, (self.folder / "registry.log").read_text()
+            time.sleep(0.05)
+
+    def _answers(self) -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", self.port), 1).close()
+        except OSError:
+            return False
+        return True
+
+    def end(self) -> None:
+        """End it."""
+        if self.process is not None and self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(30)
+
+
+def root_of(files: dict[str, bytes]) -> bytes:
+    """Return a tar of a root with these files, which may be run, and the folders of runs."""
+    with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
+        for folder in ("in", "out", "tmp", "etc"):
+            _folder(tar, folder)
+        for name, data in files.items():
+            entry = tarfile.TarInfo(name)
+            entry.mode, entry.size = 0o755, len(data)
+            tar.addfile(entry, io.BytesIO(data))
+        tar.close()
+        return stream.getvalue()

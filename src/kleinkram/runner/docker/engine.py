@@ -8,6 +8,7 @@ import http.client
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -35,10 +36,14 @@ class Refused(Exception):
 
 
 class Facts(NamedTuple):
-    """What an engine says of itself. `architecture` as images say it: amd64, arm64."""
+    """What an engine says of itself. `architecture` as images say it: amd64, arm64.
+
+    `ends_with_containers`: when it is restarted, containers are ended.
+    """
 
     architecture: str
     has_gpus: bool
+    ends_with_containers: bool
 
 
 class Image(NamedTuple):
@@ -79,7 +84,8 @@ class Engine:
     def facts(self) -> Facts:
         """Return what it says of itself."""
         version, info = self._ask("GET", "/version"), self._ask("GET", "/info")
-        return Facts(version["Arch"], "nvidia" in (info.get("Runtimes") or {}))
+        ends = info.get("LiveRestoreEnabled") is False
+        return Facts(version["Arch"], "nvidia" in (info.get("Runtimes") or {}), ends)
 
     def find_image(self, name: str) -> Image | None:
         """Return an image that is here, by name, digest or id."""
@@ -137,6 +143,13 @@ class Engine:
         state = said["State"]
         killed, error_said = bool(state["OOMKilled"]), state.get("Error") or ""
         return Container(said["Id"], state["Status"], state["Pid"], state["ExitCode"], killed, error_said)
+
+    def was_told_to_kill(self, name: str) -> bool:
+        """Whether anybody had a container sent a signal, as far as it remembers."""
+        filters = json.dumps({"container": [name], "event": ["kill"]})
+        query = {"since": 1, "until": f"{time.time():.6f}", "filters": filters}
+        with self._answer("GET", f"/events?{urlencode(query)}") as answer:
+            return bool(answer.read().strip())
 
     def remove(self, name: str) -> None:
         """Kill a container if it runs, and remove it with the volumes that nobody named."""

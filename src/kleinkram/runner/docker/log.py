@@ -8,6 +8,8 @@ Imports nothing but Python's own library, since wardens wait for it.
 
 import json
 import os
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
@@ -37,6 +39,10 @@ class Log:
         self._limit = limit_bytes
         self._size = os.fstat(self._log).st_size
         self._kept = self._read_cursor()
+        self._lock = threading.Lock()
+        self._open_stream: int | None = None
+        self._held: list[Piece] = []
+        self._held_since_s = 0.0
 
     def __enter__(self) -> "Log":
         return self
@@ -44,6 +50,7 @@ class Log:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.add_held(after_s=0)
         os.close(self._log)
         os.close(self._cursor)
 
@@ -58,8 +65,35 @@ class Log:
         return os.fstat(self._log).st_mtime_ns
 
     def add(self, pieces: Iterable[Piece]) -> None:
-        """Keep what a container wrote, up to the limit."""
+        """Keep what a container wrote, up to the limit. Lines of one stream do not cut those of the other."""
+        with self._lock:
+            ordered: list[Piece] = []
+            for piece in pieces:
+                if self._open_stream not in (None, piece.stream):
+                    self._held_since_s = self._held_since_s or time.monotonic()
+                    self._held.append(piece)
+                    continue
+                ordered.append(piece)
+                self._open_stream = None if piece.data.endswith(b"\n") else piece.stream
+                if self._open_stream is None and self._held:
+                    ordered += self._let_go()
+            self._write(ordered)
+
+    def add_held(self, *, after_s: float) -> None:
+        """Keep what was held back for so long, though the line before it has not ended."""
+        with self._lock:
+            if self._held and time.monotonic() >= self._held_since_s + after_s:
+                self._write(self._let_go())
+
+    def _let_go(self) -> list[Piece]:
+        held, self._held, self._held_since_s = self._held, [], 0.0
+        self._open_stream = None if held[-1].data.endswith(b"\n") else held[-1].stream
+        return held
+
+    def _write(self, pieces: Iterable[Piece]) -> None:
         for stream, same in groupby(pieces, key=lambda piece: piece.stream):
+            if self.is_full:
+                return
             data = b"".join(piece.data for piece in same)[: self._limit - self._size]
             said = {"size": self._size, "kept": [self._kept[1], self._kept[2]], "next": stream}
             # Of constant length, and one write: it is there as a whole or not at all.
@@ -69,7 +103,6 @@ class Log:
             self._kept[stream] += len(data)
             if self.is_full:
                 os.write(self._log, ward.LOG_IS_FULL)
-                return
 
     def without_kept(self, batches: Iterable[list[Piece]]) -> Iterator[list[Piece]]:
         """Yield of all that the container wrote since its start what is not in here."""

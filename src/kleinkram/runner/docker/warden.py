@@ -16,15 +16,16 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from kleinkram.runner import doors, ward
 from kleinkram.runner.docker import cgroups
 from kleinkram.runner.docker.engine import Container, Engine, EngineAway, Refused
 from kleinkram.runner.docker.log import Log, Piece
 
+_T = TypeVar("_T")
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
@@ -41,7 +42,7 @@ _SEEN_TO_BE_OVER_S = 1.0
 _UNSEEN = 255
 # The words of those that run as first process, Docker's tini and Podman's catatonit, for a command that is not there.
 _NO_COMMAND = re.compile(r"\[FATAL tini[^\]]*\] exec (.+) failed: (.+)|ERROR \(catatonit:\d+\): (failed to exec .+)")
-_LOST = ("lost", "Its container was ended or removed while nobody watched: by a restart, or by hand.")
+_LOST = ("lost", "Its container was ended from outside: by a restart of the engine or of the machine, or by hand.")
 
 
 class Warden:
@@ -55,7 +56,7 @@ class Warden:
         self._ways = [doors.Way(**door) for door in self._work["doors"]]
         self._pid, self._began = 0, 0
         self._is_asked = False
-        self._was_alone = False
+        self._was_alone = self._was_away = False
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
         self._disk_at = self._told_at = 0.0
@@ -102,6 +103,7 @@ class Warden:
         return written
 
     def _watch(self, written: Iterator[list[Piece]]) -> None:
+        self._log = Log(self._folder, self._work["log_bytes"])
         log = threading.Thread(target=self._keep_log, args=(written,), daemon=True)
         log.start()
         threading.Thread(target=self._await_end, daemon=True).start()
@@ -155,6 +157,7 @@ class Warden:
     def _look(self) -> None:
         now = time.monotonic()
         self._measure()
+        self._log.add_held(after_s=_LOOK_EVERY_S)
         if self._is_asked:
             self._end(ward.CANCELLED)
         if self._lasts_s() > self._work["time_s"]:
@@ -217,7 +220,7 @@ class Warden:
             except Refused:
                 break
             except EngineAway:
-                self._was_alone = True
+                self._was_away = True
                 self._away_since = self._away_since or time.monotonic()
                 time.sleep(_RETRY_EVERY_S)
                 continue
@@ -225,12 +228,16 @@ class Warden:
 
     def _find(self) -> Container | None:
         """Return the container, once the engine answers."""
+        return self._insist(lambda: self._engine.find(self._name))
+
+    def _insist(self, ask: Callable[[], _T]) -> _T:
         until = time.monotonic() + _ENGINE_BACK_S
         while time.monotonic() < until:
             with contextlib.suppress(EngineAway):
-                return self._engine.find(self._name)
+                return ask()
+            self._was_away = True
             time.sleep(_RETRY_EVERY_S)
-        return self._engine.find(self._name)
+        return ask()
 
     def _find_now(self) -> Container | None:
         try:
@@ -239,11 +246,11 @@ class Warden:
             return None
 
     def _keep_log(self, written: Iterator[list[Piece]]) -> None:
-        with Log(self._folder, self._work["log_bytes"]) as log:
+        with self._log as log:
             _add_all(log, written)
             # With nobody who takes it, what is written would hold up the container, and its end.
             self._attached.close()
-            if self._over.wait(_SEEN_TO_BE_OVER_S) and not self._was_alone:
+            if self._over.wait(_SEEN_TO_BE_OVER_S) and not (self._was_alone or self._was_away):
                 return
             # The engine went away, or this warden came late.
             was_over = False
@@ -271,13 +278,19 @@ class Warden:
         if found is None:
             return _LOST, None
         if (failure := self._no_command(found)) is not None:
-            is_foreign = "Exec format" in failure
-            return ("not_possible" if is_foreign else "command_not_found", _could_not_start(failure)), None
+            return ("command_not_found", _could_not_start(failure)), None
         if found.exit_code != 0 and self._was_out_of_memory(found):
             return ward.too_much_memory(self._work["memory_bytes"]), None
-        if self._was_alone and found.exit_code in (_KILLED, _UNSEEN):
+        if self._was_cut_off(found):
             return _LOST, None
         return ward.told_by_code(found.exit_code), found.exit_code
+
+    def _was_cut_off(self, found: Container) -> bool:
+        """Whether the engine ended it, for its own restart or because somebody said so: whatever its exit code then."""
+        if self._was_alone and found.exit_code in (_KILLED, _UNSEEN):
+            return True
+        is_told = self._insist(lambda: self._engine.was_told_to_kill(self._name))
+        return is_told or (self._was_away and self._insist(self._engine.facts).ends_with_containers)
 
     def _was_out_of_memory(self, found: Container | None) -> bool:
         """Whether the kernel ended it for its memory; engines may hear of that a moment after the end."""

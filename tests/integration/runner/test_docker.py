@@ -1,0 +1,291 @@
+"""Containers: what no other executor has: images, an engine that may go away, leftovers."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.docker.images import Pull
+from kleinkram.runner.work import CannotStart, Door, Work
+from tests.integration.runner import engines
+from tests.integration.runner.conftest import Bench, log_of
+from tests.integration.runner.engines import Dockerd, Registry
+from tests.integration.runner.test_executors import KNOCKS, answers, until_said
+
+pytestmark = [pytest.mark.slow, pytest.mark.parametrize("bench", ["docker"], indirect=True)]
+
+# Says what it does for as long as nobody ends it.
+COUNTS = "import time\nfor n in range(10_000): print(f'line {n}', flush=True); time.sleep(0.01)"
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Iterator[Registry]:
+    """A registry of the tests' own, started."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        made = Registry(tmp_path / "registry", free.getsockname()[1])
+    made.start()
+    yield made
+    made.end()
+
+
+def small(docker: Dockerd, name: str, word: str) -> str:
+    """Make an image with a file and nothing else, and return its id."""
+    return docker.load(name, f"LABEL word={word}", root=engines.root_of({"word": word.encode()}))
+
+
+def refusal(executor: DockerExecutor, image: str) -> tuple[EndReason, str]:
+    with pytest.raises(CannotStart) as caught:
+        executor.prepare(image)
+    return caught.value.ending.reason, caught.value.ending.message
+
+
+def is_numbered(text: str) -> bool:
+    """Whether lines are those of `COUNTS`: none missing, none twice."""
+    lines = text.splitlines()
+    return lines == [f"line {n}" for n in range(len(lines))]
+
+
+def test_an_image_that_is_not_there(bench: Bench, docker: Dockerd) -> None:
+    reason, message = refusal(DockerExecutor(docker.engine, pull=Pull.never), "lab/nonsense:1")
+    assert (reason, "lab/nonsense:1" in message) == (EndReason.image_unavailable, True)
+    with pytest.raises(CannotStart, match="not on this runner"):
+        bench.executor.start(bench.with_image("lab/nonsense:1").work("pass"))
+
+
+def test_an_image_for_another_machine(bench: Bench, docker: Dockerd) -> None:
+    docker.load_foreign("lab/foreign:1", engines.root_of({"word": b"foreign"}), "arm64")
+    reason, message = refusal(DockerExecutor(docker.engine), "lab/foreign:1")
+    assert (reason, "arm64" in message) == (EndReason.not_possible, True)
+
+
+def test_a_program_for_another_machine(bench: Bench, docker: Dockerd) -> None:
+    image = docker.load("lab/odd:1", root=engines.root_of({"odd": b"\x7fELF but not really"}))
+    with pytest.raises(CannotStart, match="/odd") as caught:
+        bench.executor.start(bench.with_image(image).work(["/odd"]))
+    assert caught.value.ending.reason is EndReason.command_not_found
+
+
+def test_images_come_from_registries_and_a_digest_stays_what_it_is(
+    bench: Bench, docker: Dockerd, registry: Registry
+) -> None:
+    name = f"{registry.place}/lab/slam:1"
+    first = small(docker, name, "first")
+    docker.docker("push", name)
+    docker.docker("image", "rm", name)
+    executor = DockerExecutor(docker.engine, allowed=[f"{registry.place}/lab"])
+    pinned = executor.prepare(name)
+    assert pinned.reference == first
+    assert re.fullmatch("sha256:[0-9a-f]{64}", pinned.digest)
+
+    second = small(docker, name, "second")
+    docker.docker("push", name)
+    docker.docker("image", "rm", name)
+    docker.docker("image", "rm", first)
+    exact = f"{registry.place}/lab/slam:1@{pinned.digest}"
+    assert executor.prepare(exact).reference == first
+    assert executor.prepare(exact).digest == pinned.digest
+    assert executor.prepare(name).reference == second
+
+    reason, message = refusal(executor, f"{registry.place}/labor/slam")
+    assert (reason, "may not use" in message) == (EndReason.image_unavailable, True)
+    registry.end()
+    assert executor.prepare(name).reference == second
+    reason, message = refusal(DockerExecutor(docker.engine, pull=Pull.always), name)
+    assert (reason, registry.place in message) == (EndReason.image_unavailable, True)
+
+
+def test_one_built_here_is_known_by_its_id(bench: Bench, docker: Dockerd) -> None:
+    built = small(docker, "lab/built:1", "built")
+    executor = DockerExecutor(docker.engine)
+    assert executor.prepare("lab/built:1") == (made := executor.prepare(f"lab/built:1@{built}"))
+    assert (made.reference, made.digest) == (built, built)
+
+
+def test_the_images_own_command_and_volumes(bench: Bench, docker: Dockerd) -> None:
+    text = "import os; open('/data/x', 'w').write('1'); print(os.getcwd(), os.environ['WORD'])"
+    told = [f'CMD ["python3", "-c", "{text}"]', "VOLUME /data", "WORKDIR /var/lab", "ENV WORD=said", "USER 0:0"]
+    image = docker.load("lab/own:1", *told, root=engines.python_root())
+    own = bench.with_image(image)
+    work, ending = own.run([])
+    assert (ending.reason, log_of(work)) == (EndReason.done, "/var/lab said\n")
+    assert (work.folder / "tmp" / ".volume-0" / "x").read_text() == "1"
+    assert docker.docker("volume", "ls", "--quiet") == ""
+
+
+def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
+    text = (
+        "import os, re\n"
+        "said = dict(re.findall(r'(\\w+):\\s+(\\S+)', open('/proc/self/status').read()))\n"
+        "print(*(said[each] for each in ('CapEff', 'CapBnd', 'NoNewPrivs', 'Seccomp')))\n"
+        "print(os.getuid() > 9**9, {*os.getgroups()} <= {os.getgid()})"
+    )
+    (one, _), (two, _) = bench.run(text), bench.run("pass")
+    assert log_of(one) == f"{'0' * 16} {'0' * 16} 1 2\nTrue True\n"
+    assert (one.folder / "out").stat().st_uid != (two.folder / "out").stat().st_uid
+
+
+def test_processes_are_counted(bench: Bench) -> None:
+    text = (
+        "import os, time\nn = 0\ntry:\n    while n < 5000:\n"
+        "        if os.fork() == 0: time.sleep(60)\n        n += 1\nexcept OSError: print(n)"
+    )
+    work, ending = bench.run(text)
+    assert ending.reason is EndReason.done
+    assert 500 < int(log_of(work)) < 1024
+
+
+def test_what_is_written_beside_is_not(bench: Bench) -> None:
+    work, _ = bench.run(
+        "import os\n"
+        "os.symlink('/etc/shadow', '/out/link')\n"
+        "for path in ('/out/../../x', '/out/../x', '/var/x'):\n"
+        "    try: open(path, 'w')\n"
+        "    except OSError as error: print(error.errno)"
+    )
+    assert log_of(work).split() == ["30", "30", "2"]
+    assert (work.folder / "out" / "link").is_symlink()
+    assert sorted(each.name for each in (work.folder / "out").iterdir()) == ["link"]
+
+
+RUNNER = """
+import json, os, signal, sys
+from pathlib import Path
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.runner.docker.engine import Engine
+from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.work import Work
+socket, folder, key, image, text = sys.argv[1:]
+work = Work(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)
+DockerExecutor(Engine(Path(socket))).start(work)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, docker: Dockerd) -> None:
+    work = bench.work(COUNTS)
+    words = [str(docker.socket), str(work.folder), work.key, str(work.image), COUNTS]
+    killed = subprocess.run([sys.executable, "-c", RUNNER, *words], check=False, timeout=60)
+    assert killed.returncode == -signal.SIGKILL
+    until_said(bench, COUNTS, "line 20\n")
+    assert bench.executor.wait(work, timeout_s=0.1) is None
+    bench.executor.stop(work)
+    assert bench.end_of(work).reason is EndReason.cancelled
+    assert is_numbered(log_of(work))
+
+
+def kill_warden(work: Work) -> None:
+    os.kill(int(re.findall(r'"pid": (\d+)', (work.folder / "warden.json").read_text())[0]), signal.SIGKILL)
+
+
+def test_a_warden_is_killed_and_nothing_is_lost_or_said_twice(bench: Bench) -> None:
+    text = COUNTS.replace("10_000", "300").replace(
+        "print(", "print(f'error {n}', file=__import__('sys').stderr); print("
+    )
+    work = bench.work(text, time_s=8)
+    bench.executor.start(work)
+    for n in (20, 120):
+        until_said(bench, text, f"line {n}\n")
+        kill_warden(work)
+        assert bench.executor.wait(work, timeout_s=0.5) is None
+    ending = bench.end_of(work)
+    assert (ending.reason, ending.exit_code) == (EndReason.done, 0)
+    lines = log_of(work).splitlines()
+    for word in ("line", "error"):
+        assert [each for each in lines if each.startswith(word)] == [f"{word} {n}" for n in range(300)]
+
+
+def test_a_runs_time_is_counted_while_nobody_watches(bench: Bench) -> None:
+    work = bench.work(COUNTS, time_s=2)
+    bench.executor.start(work)
+    until_said(bench, COUNTS, "line 1\n")
+    kill_warden(work)
+    time.sleep(2)
+    began = time.monotonic()
+    assert bench.end_of(work).reason is EndReason.time
+    assert time.monotonic() - began < 2
+
+
+def test_doors_are_made_again_by_the_next_warden(bench: Bench) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as api:
+        answers(api, b"api:")
+        text = KNOCKS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
+        work = bench.work(text, network=Network.api, doors=[Door("lab.example", 443, *api.getsockname())])
+        bench.executor.start(work)
+        until_said(bench, text, "api:\n")
+        kill_warden(work)
+        until_gone = time.monotonic() + 10
+        assert bench.executor.wait(work, timeout_s=1) is None
+        before = log_of(work).count("api:")
+        while log_of(work).count("api:") < before + 3:
+            assert time.monotonic() < until_gone
+            time.sleep(0.05)
+
+
+def test_a_container_that_somebody_removes_is_lost(bench: Bench, docker: Dockerd) -> None:
+    work = bench.work(COUNTS)
+    bench.executor.start(work)
+    docker.docker("rm", "--force", f"kleinkram-{work.key}")
+    assert bench.end_of(work).reason is EndReason.lost
+
+
+def test_leftovers_are_swept_but_not_anothers(bench: Bench, docker: Dockerd) -> None:
+    works = [bench.work(COUNTS) for _ in range(3)]
+    mine, other = (DockerExecutor(docker.engine, runner=each) for each in ("mine", "other"))
+    for executor, work in zip((mine, mine, other), works, strict=True):
+        executor.start(work)
+    again = DockerExecutor(docker.engine, runner="mine")
+    again.sweep({works[0].key})
+    names = docker.docker("ps", "--all", "--format", "{{.Names}}").split()
+    assert [f"kleinkram-{each.key}" in names for each in works] == [True, False, True]
+    for executor, work in zip((mine, mine, other), works, strict=True):
+        executor.remove(work)
+
+
+def test_dockerd_is_killed(bench: Bench) -> None:
+    with engines.dockerd("none", "127.0.0.1", "--live-restore") as docker:
+        image = docker.load(engines.IMAGE, root=engines.python_root())
+        executor = DockerExecutor(docker.engine)
+        mortal = Bench(executor, bench.folder / "mortal", bench.again, image, "python3")
+
+        lasting = mortal.work(COUNTS)
+        executor.start(lasting)
+        until_said(mortal, COUNTS, "line 20\n")
+        docker.kill()
+        assert executor.wait(lasting, timeout_s=0.5) is None
+        docker.start()
+        until_said(mortal, COUNTS, "line 200\n")
+        executor.stop(lasting)
+        assert mortal.end_of(lasting).reason is EndReason.cancelled
+        lines = log_of(lasting).splitlines()
+        assert len(set(lines)) == len(lines)
+
+        cut = mortal.work(COUNTS)
+        executor.start(cut)
+        until_said(mortal, COUNTS, "line 20\n")
+        docker.kill()
+        executor.stop(cut)
+        docker.options = ()
+        docker.start()
+        assert mortal.end_of(cut).reason is EndReason.cancelled
+
+        lost = mortal.work(COUNTS)
+        executor.start(lost)
+        until_said(mortal, COUNTS, "line 20\n")
+        docker.kill()
+        docker.start()
+        assert mortal.end_of(lost).reason is EndReason.lost
+        for work in mortal.made:
+            executor.remove(work)
+        assert executor.prepare(image).reference == image
