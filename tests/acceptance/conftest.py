@@ -8,6 +8,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,10 +109,16 @@ def end(process: "subprocess.Popen[str]") -> Ran:
 @pytest.fixture(scope="session")
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
     """One instance for all stories."""
-    home = tmp_path_factory.mktemp("up")
+    with running_instance(tmp_path_factory.mktemp("up")) as running:
+        yield running
+
+
+@contextmanager
+def running_instance(home: Path, **told: str) -> Iterator[Instance]:
+    """Run `klein up` in an empty folder; `told` are further variables of its environment."""
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
-    environment = {**_environment(home, home / "data"), **short, **often}
+    environment = {**_environment(home, home / "data"), **short, **often, **told}
     ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the usual ones may be somebody's
     process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
     try:
