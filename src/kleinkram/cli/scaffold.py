@@ -96,7 +96,7 @@ network: none
 """
 
 _DOCKERFILE = """\
-# The image of script actions, which has open-kleinkram; deploy/images/action-python builds it.
+# The image of script actions, with open-kleinkram; deploy/images/action-python in Kleinkram's repository makes it.
 ARG BASE={base}
 FROM ${{BASE}}
 COPY main.py /action/main.py
