@@ -1,4 +1,4 @@
-"""Starts a script action: `python -m kleinkram.action.launch SCRIPT DEPENDENCY…`.
+"""Starts a script action: `python -m kleinkram.action.launch SCRIPT DEPENDENCY…`, SCRIPT as in `/in`.
 
 Looks whether what the script says it depends on is installed, since a run can fetch nothing, and then is the script.
 """
@@ -8,6 +8,8 @@ import runpy
 import sys
 
 from packaging.requirements import InvalidRequirement, Requirement
+
+from kleinkram.action import places
 
 NOT_INSTALLED = 78  # EX_CONFIG of sysexits.h
 
@@ -22,8 +24,10 @@ def main() -> None:
             "name an image that has them in the script's header ([tool.kleinkram] image = ...).\n"
         )
         raise SystemExit(NOT_INSTALLED)
-    sys.argv = [script]
-    runpy.run_path(script, run_name="__main__")
+    # Without a root of its own, a run is told elsewhere where its `/in` is.
+    path = str(places.given / script)
+    sys.argv = [path]
+    runpy.run_path(path, run_name="__main__")
 
 
 def _missing(dependency: str) -> str | None:

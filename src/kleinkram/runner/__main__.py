@@ -73,7 +73,6 @@ def main() -> None:
             options = RunnerOptions(
                 url=arguments.url,
                 token=find_token(arguments.token_file),
-                data_dir=arguments.data_dir,
                 name=arguments.name,
                 labels=tuple(arguments.labels),
                 share=Share(
@@ -99,12 +98,12 @@ def _carry_on(runner: Runner, *, once: bool) -> int:
     """Run until a signal or the end; return the exit code."""
     over = threading.Event()
     asked: list[int] = []
-    failures: list[KleinkramError] = []
+    failures: list[Exception] = []
 
     def run() -> None:
         try:
             runner.run(once=once)
-        except KleinkramError as error:
+        except (KleinkramError, OSError) as error:
             failures.append(error)
         finally:
             over.set()

@@ -10,6 +10,7 @@ import hashlib
 import os
 import shutil
 import threading
+import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ _PART = ".part"
 # A disk is not filled to its last byte: others live on it, too.
 _SPARE_BYTES = 256 * 2**20
 _SLICE_BYTES = 2**20
+_PART_LASTS_S = 86_400.0
 # A file system without hard links, or a file that has as many names as it can have.
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.EXDEV}
 
@@ -108,6 +110,10 @@ class Cache:
         self._fetching: dict[str, int] = {}
         self._pinned: dict[str, int] = {}
         folder.mkdir(mode=0o711, parents=True, exist_ok=True)
+        for part in folder.glob("*" + _PART):
+            # What nobody went on with since.
+            if time.time() - part.stat().st_mtime > _PART_LASTS_S:
+                part.unlink()
 
     def size_bytes(self) -> int:
         """Return what it keeps, in use or not."""

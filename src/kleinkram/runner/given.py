@@ -36,4 +36,4 @@ def write_given(folder: Path, context: RunContext, script: str | None) -> None:
 def script_command(dependencies: list[str], *, in_image: bool) -> list[str]:
     """Return what starts a script: the image's Python, or where there is none this one."""
     python = "python3" if in_image else sys.executable
-    return [python, "-m", "kleinkram.action.launch", f"/in/{_SCRIPT}", *dependencies]
+    return [python, "-m", "kleinkram.action.launch", _SCRIPT, *dependencies]

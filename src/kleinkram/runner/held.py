@@ -117,18 +117,21 @@ class HeldRun:
         self._ground.executor.remove(work_of(self._ground, self._attempt))
 
     def _run(self) -> None:
+        is_left = False
         try:
             self._see_it_through()
         except Told as told:
-            if told.order is Order.leave:
-                return
-            _log.info("the run %s is not this runner's any more", self.claim.run_id)
+            is_left = told.order is Order.leave
+            if not is_left:
+                _log.info("the run %s is not this runner's any more", self.claim.run_id)
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.claim.run_id)
         except (KleinkramError, OSError):
             # Its lease runs out, and the server says what becomes of it.
             _log.exception("the run %s is given up", self.claim.run_id)
-        self._clear()
+        finally:
+            if not is_left:
+                self._clear()
 
     def _see_it_through(self) -> None:
         if self._attempt.state.stage is not Stage.collecting:

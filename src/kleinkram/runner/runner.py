@@ -55,7 +55,6 @@ class RunnerOptions:
 
     url: str
     token: str
-    data_dir: Path
     name: str
     labels: tuple[str, ...] = ()
     share: Share = field(default_factory=Share)
@@ -78,6 +77,7 @@ class Runner:
         self._store = StoreDoor(_STORE_CONNECTIONS)
         self._stopping = threading.Event()
         self._over = threading.Event()
+        self._is_cut_off = False
         self._news = threading.Event()
         self._has_room = threading.Event()
         self._held: dict[uuid.UUID, HeldRun] = {}
@@ -204,14 +204,16 @@ class Runner:
         asked_s = now_s()
         try:
             claim = self._runners.claim(self._home.runner_id, ask)
+            self._is_cut_off = False
+            return self._take(claim, asked_s) if claim else None
         except NotFound:
             self._come_in()
-            return None
-        except KleinkramError as error:
-            _log.warning("no run can be asked for: %s", error)
+        except (KleinkramError, OSError) as error:
+            if not self._is_cut_off:
+                _log.warning("no run can be taken on: %s", error)
+            self._is_cut_off = True
             self._stopping.wait(_REFUSED_AGAIN_S if isinstance(error, _NOT_WELCOME) else _AGAIN_S)
-            return None
-        return self._take(claim, asked_s) if claim else None
+        return None
 
     def _take(self, claim: Claim, asked_s: float) -> HeldRun:
         _log.info("got the run %s of %s", claim.run_id, claim.action.name)

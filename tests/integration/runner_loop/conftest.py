@@ -46,7 +46,7 @@ class Runners:
     def start(self, executor: Executor | None = None, share: Share = _SHARE) -> Runner:
         """Start a runner in this process."""
         self.folder.mkdir(exist_ok=True)
-        options = RunnerOptions(self.server.url, RUNNER_TOKEN, self.folder, "a-runner", share=share)
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", share=share)
         runner = Runner(options, Home(self.folder), executor or ProcessExecutor())
         thread = threading.Thread(target=runner.run)
         thread.start()

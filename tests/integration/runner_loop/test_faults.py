@@ -89,6 +89,7 @@ def test_a_runner_that_is_asked_to_end_leaves_its_run_or_ends_it_too(server: Fak
     assert run.attempt == 1
 
 
+@pytest.mark.slow
 def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,6 +106,7 @@ def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
     server.is_silent.clear()
 
 
+@pytest.mark.slow
 def test_a_run_of_another_runner_is_killed(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(LASTING)
@@ -114,6 +116,7 @@ def test_a_run_of_another_runner_is_killed(server: FakeServer, runners: Runners)
     assert run.finishes == []
 
 
+@pytest.mark.slow
 def test_a_run_is_cancelled_while_it_runs(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(LASTING)
@@ -134,6 +137,7 @@ def test_a_run_is_cancelled_while_its_inputs_come(server: FakeServer, runners: R
     assert run.artifacts == {}
 
 
+@pytest.mark.slow
 def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners: Runners) -> None:
     server.store_refuses.set()
     runners.start()
@@ -155,6 +159,7 @@ def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: 
     assert ended(run).finishes[0].reason is EndReason.done
 
 
+@pytest.mark.slow
 def test_no_more_is_begun_than_there_is_room_for(server: FakeServer, runners: Runners) -> None:
     script = (
         "import time\nfrom kleinkram.action import out\n"

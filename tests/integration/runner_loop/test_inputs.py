@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from kleinkram.contract.runs import EndReason
 from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -9,6 +11,7 @@ from tests.integration.runner_loop.fake_server import FakeServer
 READ = "import pathlib\nfrom kleinkram.action import places\nprint(places.given.joinpath('drive.bag').read_text())"
 
 
+@pytest.mark.slow
 def test_runs_of_one_input_fetch_it_once(server: FakeServer, runners: Runners) -> None:
     server.slow_bytes_per_s = 40
     runners.start()
@@ -29,6 +32,7 @@ def test_an_input_that_is_damaged_is_fetched_once_more_and_never_given(server: F
     assert server.requests["GET store"] == 2
 
 
+@pytest.mark.slow
 def test_what_came_is_fetched_anew_once_it_was_changed(server: FakeServer, runners: Runners) -> None:
     runners.start()
     ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))

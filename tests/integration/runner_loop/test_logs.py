@@ -13,6 +13,7 @@ from tests.integration.runner_loop.fake_server import RUNNER_TOKEN, FakeServer
 RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
 
 
+@pytest.mark.slow
 def test_a_log_is_seen_while_it_grows(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
+from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner.process import room
 from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
 
@@ -24,3 +28,19 @@ def test_a_run_leaves_its_files_its_words_and_its_log(server: FakeServer, runner
     assert [metric.name for metric in finish.report.metrics] == ["size"]
     assert finish.usage is not None
     assert RunState.running in run.states
+
+
+def test_a_run_without_walls_has_copies_of_its_inputs(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room, "can_be_made", lambda: False)
+    runners.start()
+    run = server.launch(
+        "from kleinkram.action import places\n"
+        "path = places.given / 'drive.bag'\n"
+        "path.chmod(0o600)\npath.write_text('spoilt')\n",
+        {"drive.bag": b"bytes of a drive"},
+        network=Network.open,
+    )
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert [path.read_bytes() for path in runners.folder.glob("cache/*.file")] == [b"bytes of a drive"]
