@@ -31,6 +31,8 @@ const OF_NOUNS: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
   upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
   mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], ["projects"], ["trash"], ["stats"]],
   project: () => [["projects"], ["missions"], ["trash"], ["stats"]],
+  run: (change) => [["runs", "list"], change.id === null ? ["runs"] : keys.run(change.id), ...(change.id === null ? [] : [["files", "one"]])],
+  action: () => [["actions"]],
   grant: () => [["access"], ["projects"], ["missions"]],
   share: () => [["shares"]],
   group: () => [["groups"], ["access"]],

@@ -26,6 +26,14 @@ export type BlobState = Schemas["BlobState"];
 export type ContentState = Schemas["ContentState"];
 export type MetadataField = Schemas["MetadataField"];
 export type MetadataFields = Schemas["MetadataFields"];
+export type Action = Schemas["ActionRead"];
+export type ActionVersion = Schemas["ActionVersionRead"];
+export type Definition = Schemas["ActionDefinition"];
+export type Parameter = Definition["parameters"][number];
+export type Run = Schemas["RunRead"];
+export type RunDetail = Schemas["RunDetail"];
+export type RunState = Schemas["RunState"];
+export type Artifact = Schemas["ArtifactRead"];
 export type Json = Schemas["JsonValue"];
 
 /** One page of a list; `next` continues it, null at its end. */

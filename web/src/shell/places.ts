@@ -1,7 +1,7 @@
 // Where the rail, the bar and the palette lead.
 import type { RouteLocationRaw } from "vue-router";
 import {
-  iconAdmin, iconAudit, iconHome, iconMe, iconPeople, iconProjects, iconPublic, iconSearch, iconSession, iconToken, iconTrash,
+  iconAction, iconAdmin, iconAudit, iconHome, iconMe, iconPeople, iconProjects, iconPublic, iconRuns, iconSearch, iconSession, iconToken, iconTrash,
   iconUpload,
 } from "@/components/icons";
 import { texts } from "@/texts/shell";
@@ -27,6 +27,7 @@ export const places: readonly Place[] = [
   place("projects", iconProjects, "p", { also: ["project", "mission", "file"] }),
   place("search", iconSearch, "s"),
   place("upload", iconUpload, "u"),
+  place("runs", iconRuns, "x", { also: ["run", "actions", "action", "launch"] }),
   place("people", iconPeople, "e", { also: ["person", "groups", "group", "access"] }),
   place("trash", iconTrash, "t"),
   place("audit", iconAudit, "r"),
@@ -35,6 +36,7 @@ export const places: readonly Place[] = [
 
 /** Pages that the rail does not show, and the palette does. */
 export const furtherPlaces: readonly Place[] = [
+  place("actions", iconAction, "i"),
   place("groups", iconPeople, "o"),
   place("account", iconMe, "c"),
   place("tokens", iconToken, "k"),

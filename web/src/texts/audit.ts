@@ -3,6 +3,10 @@
 /** What was done, as it follows the name of whoever did it. */
 const operations: Readonly<Record<string, string>> = {
   "access.denied": "was denied",
+  "action.archive": "archived the action",
+  "action.create": "published the action",
+  "action.publish": "published a version of",
+  "action.restore": "took back the action",
   "admin.look": "looked, as an admin, at",
   "job.retry": "had tried again",
   "auth.refused": "was refused at the door",
@@ -52,6 +56,11 @@ const operations: Readonly<Record<string, string>> = {
   "project.unpublish": "made private",
   "project.update": "changed",
   "rate.limited": "was told to wait",
+  "run.cancel": "cancelled the run of",
+  "run.create": "asked for a run of",
+  "run.download": "downloaded what was left by the run of",
+  "run.end": "ended the run of",
+  "runner.arrive": "brought the runner",
   "server.claim": "claimed the server",
   "session.create": "signed in",
   "session.revoke": "signed out",

@@ -85,3 +85,13 @@ export const texts = {
 
   pending: "The server has not yet looked at what is in this file. This page shows it by itself when it has.",
 } as const;
+
+export const lineageTexts = {
+  title: "Lineage",
+  made: "Made by",
+  read: "Read by",
+  from: "From",
+  cameOf: "Of which came",
+  more: (count: number) => `and ${count} more`,
+  truncated: "Earlier runs read it too.",
+} as const;

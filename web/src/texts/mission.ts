@@ -3,7 +3,7 @@ import { counted, formatCount, formatDuration, formatSize } from "@/components/f
 
 export const texts = {
   projects: "Projects",
-  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", problems: "Problems", access: "Access and links" },
+  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", runs: "Runs", problems: "Problems", access: "Access and links" },
   completed: "Complete",
   completedWhy: "Somebody said that all of it has been uploaded.",
   pending: (files: number) => `${counted(files, "file")} not read yet`,
@@ -30,6 +30,7 @@ export const texts = {
   notesHint: "Plain text. Ctrl+Enter saves, Escape leaves it as it was.",
 
   upload: "Upload",
+  run: "Run …",
   share: "Share",
   rename: "Rename",
   move: "Move",

@@ -50,6 +50,7 @@ export const texts = {
   scriptHead: "Fetches what a search in Kleinkram found, each file verified.",
 
   label: "Label",
+  run: (missions: number) => (missions === 1 ? "Run on its mission …" : `Run on their ${missions} missions …`),
   share: "Share",
   shareOne: "A link shows files of one mission; these are of several.",
   labelTitle: (files: number) => `Labels of ${counted(files, "file")}`,

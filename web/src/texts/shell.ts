@@ -7,6 +7,8 @@ export const texts = {
     projects: "Projects",
     search: "Search",
     upload: "Upload",
+    runs: "Runs",
+    actions: "Actions",
     people: "People",
     groups: "Groups",
     account: "Account",

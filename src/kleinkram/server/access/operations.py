@@ -225,6 +225,7 @@ OPERATIONS: dict[str, Need] = {
 # The first words of the app's addresses; web/src/router/routes.ts says what is shown there.
 PLACES = (
     "account",
+    "actions",
     "admin",
     "audit",
     "files",
@@ -233,6 +234,7 @@ PLACES = (
     "people",
     "projects",
     "public",
+    "runs",
     "search",
     "sessions",
     "signed-in",

@@ -1,0 +1,34 @@
+import { expect, it } from "vitest";
+import { judgeAll, judgeParameter, namedIn, sent } from "./parameters";
+import type { Parameter } from "@/api/types";
+
+function parameter(name: string, type: Parameter["type"], more: Partial<Parameter> = {}): Parameter {
+  return { name, type, description: "", ...more };
+}
+
+it("a number is within its bounds, which belong to it", () => {
+  const each = parameter("speed", "number", { minimum: 0, maximum: 10 });
+  expect([0, 10].map((value) => judgeParameter(each, value))).toEqual([null, null]);
+  expect([-0.1, 10.1, Number.NaN, "fast"].every((value) => judgeParameter(each, value) !== null)).toBe(true);
+});
+
+it("a whole number has no fraction", () => {
+  expect(judgeParameter(parameter("count", "integer"), 2.5)).not.toBeNull();
+  expect(judgeParameter(parameter("count", "integer"), 2)).toBeNull();
+});
+
+it("what has no default must be said, also where it is false or zero", () => {
+  const all = [parameter("a", "string"), parameter("b", "string", { default: "x" }), parameter("c", "boolean"), parameter("d", "integer")];
+  expect([...judgeAll(all, { a: "", c: false, d: 0 }).keys()]).toEqual(["a"]);
+});
+
+it("only what was given is sent", () => {
+  const all = [parameter("a", "string"), parameter("b", "boolean"), parameter("c", "number")];
+  expect(sent(all, { a: "", b: false, c: 0, gone: "x" })).toEqual({ b: false, c: 0 });
+});
+
+it("the server's sentence finds its field", () => {
+  const all = [parameter("speed", "number"), parameter("top", "topic")];
+  expect(namedIn("'top' is the name of a topic, not 3", all)).toBe("top");
+  expect(namedIn("the action is archived", all)).toBeNull();
+});
