@@ -88,9 +88,10 @@ def logs(
             last_word(over)
             raise typer.Exit(code_of([over]))
         if as_json:
-            pieces = [*client.runs.log(found.id, follow=follow_it)]
-            show_json({"run_id": str(found.id), "text": "".join(each.text for each in pieces)})
-            return
+            text = "".join(each.text for each in client.runs.log(found.id, follow=follow_it))
+            found = client.runs.wait(found.id) if follow_it else found
+            show_json({"run_id": str(found.id), "state": found.state.value, "text": text})
+            raise typer.Exit(code_of([found]) if follow_it else 0)
         for piece in client.runs.log(found.id):
             write_log(piece.text, sys.stdout)
 
