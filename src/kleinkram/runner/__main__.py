@@ -85,7 +85,7 @@ def main() -> None:
                 stock_image=arguments.stock_image,
             )
             policy = ImagePolicy(arguments.pull, arguments.registries)
-            executor = choose(arguments.executor, str(home.runner_id), policy)
+            executor = choose(arguments.executor, str(home.runner_id), policy, arguments.stock_image)
             code = _carry_on(Runner(options, home, executor), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")

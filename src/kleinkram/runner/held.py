@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 
 from kleinkram.contract.errors import KleinkramError, RunGone
-from kleinkram.contract.runners import Beat, BeatAnswer, Claim, Verdict
+from kleinkram.contract.runners import Beat, BeatAnswer, Claim, RunFinish, Verdict
 from kleinkram.contract.runs import EndReason, RunState, Sample
 from kleinkram.runner.attempts import Attempt, EndingNoted, Stage
 from kleinkram.runner.disk import remove_tree
@@ -28,7 +28,6 @@ _SAMPLE_EVERY_S = 5.0
 _MOST_SAMPLES = 100
 # A run that goes down with its machine each time is not started for ever.
 _STARTS = 3
-# What is being started does not hear the first word.
 _STOP_EVERY_S = 1.0
 _STATES = {
     Stage.preparing: RunState.preparing,
@@ -185,8 +184,8 @@ class HeldRun:
         self.orders.check()
         if self.lease.is_over():
             raise Told(Order.let_go)
-        self._is_started = True
         self._ground.executor.start(work_of(self._ground, self._attempt))
+        self._is_started = True
         self._attempt.change(started_s=now_s())
 
     def _watch(self) -> Ending:
@@ -227,15 +226,16 @@ class HeldRun:
         ending = noted.ending() if noted else Ending(EndReason.lost, "Nobody wrote down how it ended.")
         self._keeping = Keeping(self._ground, self._attempt, self.orders, self._redactor)
         try:
-            said = self._keeping.keep(ending)
+            self._finish(self._keeping, self._keeping.keep(ending))
         except Told as told:
             if told.order is not Order.cancel:
                 raise
             self.orders.obeyed()
-            said = self._keeping.nothing(_cancelled(ending.exit_code))
-        # Its end says all that beats would have.
-        said = said.model_copy(update={"usage": self._usage, "samples": self._samples[:_MOST_SAMPLES]})
-        self._keeping.finish(said)
+            self._finish(self._keeping, self._keeping.nothing(_cancelled(ending.exit_code)))
+
+    def _finish(self, keeping: Keeping, said: RunFinish) -> None:
+        # It says all that beats would have.
+        keeping.finish(said.model_copy(update={"usage": self._usage, "samples": self._samples[:_MOST_SAMPLES]}))
 
     def _now(self, state: RunState) -> None:
         self._state = state

@@ -21,6 +21,7 @@ from kleinkram.runner.process.executor import ProcessExecutor
 from kleinkram.runner.runner import Runner, RunnerOptions
 from kleinkram.runner.token import TOKEN_VARIABLE
 from kleinkram.runner.work import Executor
+from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.fake_server import RUNNER_TOKEN, FakeRun, FakeServer
 
 _SHARE = Share(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
@@ -53,7 +54,7 @@ class Runners:
         self._threads.append((runner, thread))
         return runner
 
-    def spawn(self) -> subprocess.Popen[bytes]:
+    def spawn(self, docker: Dockerd | None = None) -> subprocess.Popen[bytes]:
         """Start a runner as a process."""
         arguments = Arguments(
             url=self.server.url,
@@ -63,9 +64,12 @@ class Runners:
             memory_bytes=10**9,
             disk_bytes=10**9,
             cache_bytes=10**9,
-            executor=ExecutorChoice.process,
+            executor=ExecutorChoice.docker if docker else ExecutorChoice.process,
         )
-        process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
+        environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN}
+        if docker:
+            environment["DOCKER_HOST"] = f"unix://{docker.socket}"
+        process = subprocess.Popen(arguments.command(), env=environment)
         self._processes.append(process)
         return process
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.errors import KleinkramError, NotFound, RunGone, to_problem
+from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
     ArtifactsBegin,
@@ -60,6 +61,7 @@ from kleinkram.contract.uploads import (
 )
 from tests.integration.runner_loop.context import LATER, a_mission
 
+RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
 RUNNER_TOKEN = "klein_runner_" + "r" * 43 + "012345"
 
 
@@ -78,6 +80,7 @@ class FakeRun:
     segments: list[tuple[int, bytes]] = field(default_factory=list)
     states: list[RunState] = field(default_factory=list)
     progress: list[float] = field(default_factory=list)
+    digest: str | None = None
 
     @property
     def shown_log(self) -> bytes:
@@ -127,8 +130,8 @@ class FakeServer:
         self._http.server_close()
         self._thread.join()
 
-    def launch(self, script: str, inputs: dict[str, bytes] | None = None, **changes: Any) -> FakeRun:
-        """Queue a run of a script."""
+    def launch(self, code: str, inputs: dict[str, bytes] | None = None, **changes: Any) -> FakeRun:
+        """Queue a run of a script, unless changes say otherwise."""
         given = inputs or {}
         resources = {"cores": 1, "memory_bytes": 200_000_000, "disk_bytes": 50_000_000, "time_s": 60}
         resources |= changes.pop("resources", {})
@@ -141,7 +144,7 @@ class FakeServer:
             "image": None,
             "image_digest": None,
             "command": [],
-            "script": script,
+            "script": code,
             "dependencies": [],
             "parameters": {},
             "resources": Resources.model_validate(resources),
@@ -178,6 +181,8 @@ class FakeServer:
         self.requests[name] += 1
         found = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
         noun = uuid.UUID(found.group()) if found else None
+        if name == "/service":
+            return self._service()
         if name == "/runners":
             return self._hello(RunnerHello.model_validate_json(body))
         if name == "/runners/*/claims":
@@ -225,6 +230,19 @@ class FakeServer:
             return self._begin(run, ArtifactsBegin.model_validate_json(body))
         return self._finish(run, RunFinish.model_validate_json(body))
 
+    def _service(self) -> ServiceRead:
+        return ServiceRead(
+            name="a-lab",
+            version="0",
+            public_url=self.url,
+            store_url=self.url,
+            store_origin=self.url,
+            checksum="sha256",
+            has_local_accounts=False,
+            viewers=[],
+            person=None,
+        )
+
     def _hello(self, hello: RunnerHello) -> RunnerRead:
         self.hellos.append(hello)
         said = hello.model_dump(exclude={"labels"})
@@ -257,6 +275,7 @@ class FakeServer:
             else:
                 if not run.states or run.states[-1] is not beat.state:
                     run.states.append(beat.state)
+                run.digest = beat.image_digest or run.digest
                 if beat.progress:
                     run.progress.append(beat.progress.fraction)
                 verdict = Verdict.cancel if run.is_cancelled else verdict
@@ -382,7 +401,8 @@ class _Handler(BaseHTTPRequestHandler):
         if path.startswith("/store/"):
             self._give(self.fake.read(path.removeprefix("/store/")))
             return
-        assert self.headers["Authorization"] == f"Bearer {RUNNER_TOKEN}"
+        allowed = {RUNNER_TOKEN, RUN_TOKEN} if path == "/api/v1/service" else {RUNNER_TOKEN}
+        assert self.headers["Authorization"] in {f"Bearer {token}" for token in allowed}
         try:
             answer = self.fake.answer(method, path.removeprefix("/api/v1"), query, body)
         except KleinkramError as error:

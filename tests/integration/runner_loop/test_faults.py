@@ -178,7 +178,7 @@ def test_no_more_is_begun_than_there_is_room_for(server: FakeServer, runners: Ru
 
 def test_a_run_that_needs_more_than_there_is_says_so(server: FakeServer, runners: Runners) -> None:
     runners.start()
-    run = server.launch("", image="debian:12")
+    run = server.launch("", image="debian:12", script=None)
     finish = ended(run).finishes[0]
     assert finish.reason is EndReason.not_possible
     assert "runs no images" in finish.message

@@ -8,9 +8,7 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
-from tests.integration.runner_loop.fake_server import RUNNER_TOKEN, FakeServer
-
-RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
+from tests.integration.runner_loop.fake_server import RUN_TOKEN, RUNNER_TOKEN, FakeServer
 
 
 @pytest.mark.slow

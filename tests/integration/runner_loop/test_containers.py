@@ -1,0 +1,86 @@
+"""A runner with an engine of containers: from the claim to the end, killed in between."""
+
+from __future__ import annotations
+
+import pytest
+
+from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import LOG_PATH
+from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
+from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.docker.images import Pull
+from tests.integration.runner import engines
+from tests.integration.runner.conftest import docker  # noqa: F401  a fixture
+from tests.integration.runner.engines import Dockerd
+from tests.integration.runner_loop.conftest import Runners, ended, wait_until
+from tests.integration.runner_loop.fake_server import RUN_TOKEN, FakeServer
+
+pytestmark = pytest.mark.slow
+
+KNOCK = """
+import http.client, os, urllib.parse
+url = urllib.parse.urlsplit(os.environ["KLEINKRAM_URL"])
+knocked = http.client.HTTPConnection(url.netloc, timeout=5)
+knocked.request("GET", "/api/v1/service", headers={"Authorization": "Bearer " + os.environ["KLEINKRAM_TOKEN"]})
+print(knocked.getresponse().status, open("/in/drive.txt").read())
+open("/out/x", "w").write("x")
+"""
+LASTING = "import time\nfor n in range(60): print(n, flush=True); time.sleep(0.1)"
+
+
+def test_a_container_has_its_inputs_and_the_api_and_leaves_files(
+    server: FakeServer,
+    runners: Runners,
+    docker: Dockerd,  # noqa: F811  the fixture
+) -> None:
+    runners.start(DockerExecutor(docker.engine))
+    run = server.launch(
+        "",
+        {"drive.txt": b"bytes of a drive"},
+        script=None,
+        image=engines.IMAGE,
+        command=["python3", "-c", KNOCK],
+        network=Network.api,
+        token=RUN_TOKEN,
+    )
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.done, finish
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"200 bytes of a drive\n"}
+    image = docker.engine.find_image(engines.IMAGE)
+    assert image is not None
+    assert run.digest == image.id
+
+
+def test_a_container_outlives_its_runner(
+    server: FakeServer,
+    runners: Runners,
+    docker: Dockerd,  # noqa: F811  the fixture
+) -> None:
+    first = runners.spawn(docker)
+    run = server.launch("", script=None, image=engines.IMAGE, command=["python3", "-c", LASTING])
+    wait_until(lambda: RunState.running in run.states and run.shown_log)
+    runners.kill(first)
+    runners.spawn(docker)
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.attempt == 1
+    assert run.artifacts[LOG_PATH].split() == [str(n).encode() for n in range(60)]
+    wait_until(lambda: not docker.docker("ps", "--all", "--quiet").strip())
+
+
+def test_containers_are_chosen_where_scripts_can_be_run_in_them(
+    docker: Dockerd,  # noqa: F811  the fixture
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def chosen(stock_image: str) -> str:
+        policy = ImagePolicy(Pull.missing)
+        return choose(ExecutorChoice.auto, "a-runner", policy, stock_image).abilities.executor
+
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{docker.socket}")
+    assert chosen(engines.IMAGE) == "docker"
+    assert chosen("127.0.0.1:1/nowhere") == "process"
+    monkeypatch.setenv("DOCKER_HOST", "unix:///nowhere.sock")
+    assert chosen(engines.IMAGE) == "process"
+    with pytest.raises(InvalidInput):
+        choose(ExecutorChoice.docker, "a-runner", ImagePolicy(), engines.IMAGE)
