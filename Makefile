@@ -44,7 +44,7 @@ test: setup
 	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile
 
 test-all: setup
-	@$(BIN)/python -m pytest -m slow -q -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 2 --dist loadfile
 
 soak: setup
 	@$(BIN)/python -m pytest -m soak -q --timeout=0
