@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Sequence
 
+from kleinkram.client._retry import Backoff
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.contract.errors import BodyTooLarge, InvalidRequest, KleinkramError, RunGone
 from kleinkram.contract.reports import Report
@@ -24,6 +25,8 @@ _MOST_CHARACTERS = 2000
 _MOST_PROBLEMS = 200
 _ROUNDS = 5
 _AGAIN_S = 2.0
+# A server in trouble comes back; for one that is away is waited as long as it takes.
+_PATIENCE_S = 600.0
 
 _log = logging.getLogger("kleinkram.runner")
 
@@ -78,13 +81,28 @@ class Keeping:
             RunGone: it is not this runner's.
             KleinkramError: the server does not take it.
         """
-        runners = self._ground.runners.with_patience(math.inf, self._orders.wait)
+        backoff = Backoff(_PATIENCE_S, self._orders.wait)
+        left: RunFinish | None = said
+        while left is not None:
+            left = self._tell(left, backoff)
+
+    def _tell(self, said: RunFinish, backoff: Backoff) -> RunFinish | None:
+        """Tell it once; return what is to be told instead, or None once it was heard."""
         try:
-            runners.finish(self._claim.run_id, said)
+            self._ground.runners.with_patience(math.inf, self._orders.wait).finish(self._claim.run_id, said)
+            return None
+        except RunGone:
+            raise
         except (InvalidRequest, BodyTooLarge) as error:
             problem = _short(f"The server did not take its report: {error}")
-            bare = said.model_copy(update={"report": Report(), "problems": [problem], "samples": []})
-            runners.finish(self._claim.run_id, bare)
+            if said.problems == [problem]:
+                raise
+            return said.model_copy(update={"report": Report(), "problems": [problem], "samples": []})
+        except KleinkramError as error:
+            _log.warning("the end of the run %s is told again: %s", self._claim.run_id, error)
+            if not backoff.pause():
+                raise
+            return said
 
     def _send_all(self, results: Results) -> list[Refused]:
         out, clean = self._folder / "out", self._folder / _CLEAN_LOG

@@ -3,9 +3,9 @@
 import threading
 from dataclasses import dataclass
 
-from kleinkram.client.errors import ServerUnreachable
+from kleinkram.client._retry import Backoff
 from kleinkram.contract.actions import Network
-from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.attempts import Attempt
@@ -16,7 +16,9 @@ from kleinkram.runner.ground import Ground
 from kleinkram.runner.orders import Orders
 from kleinkram.runner.work import CannotStart, Ending, Executor, ImagePinned
 
-_AGAIN_S = 1.0
+# A server that is away, or in trouble, comes back.
+_PATIENCE_S = 600.0
+_NEVER = (NotFound, FileUnavailable, InvalidRequest)
 _LOOK_EVERY_S = 0.02
 
 
@@ -47,18 +49,10 @@ class Preparing:
         """
         image = self._image()
         pull = _Pull(self._ground.executor, image) if image else None
-        given = self._folder / "in"
-        while True:
-            try:
-                self._lay()
-                store_url = self._store_url()
-                break
-            except ServerUnreachable:
-                self._orders.wait(_AGAIN_S)
-            except RunGone:
-                raise
-            except KleinkramError as error:
-                raise CannotStart(Ending(EndReason.inputs_unavailable, str(error))) from error
+        given, store_url = self._folder / "in", None
+        backoff = Backoff(_PATIENCE_S, self._orders.wait)
+        while store_url is None:
+            store_url = self._lay_out(backoff)
         for path in [given, *given.rglob("*")]:
             if path.is_dir():
                 path.chmod(0o755)
@@ -68,6 +62,18 @@ class Preparing:
 
     def _store_url(self) -> str:
         return self._ground.service.get().store_url if self._claim.network is Network.api else ""
+
+    def _lay_out(self, backoff: Backoff) -> str | None:
+        """Lay out what the run is given, and return where the store is; None to be tried again."""
+        try:
+            self._lay()
+            return self._store_url()
+        except RunGone:
+            raise
+        except KleinkramError as error:
+            if isinstance(error, _NEVER) or not backoff.pause():
+                raise CannotStart(Ending(EndReason.inputs_unavailable, str(error))) from error
+            return None
 
     def _lay(self) -> None:
         ground, given = self._ground, self._folder / "in"

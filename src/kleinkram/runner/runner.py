@@ -172,7 +172,7 @@ class Runner:
                 if not self._held:
                     raise
             except KleinkramError as error:
-                _log.warning("the server is not reached: %s", error)
+                self._say_cut_off(error)
             self._stopping.wait(_AGAIN_S)
 
     def _hello(self) -> None:
@@ -209,11 +209,15 @@ class Runner:
         except NotFound:
             self._come_in()
         except (KleinkramError, OSError) as error:
-            if not self._is_cut_off:
-                _log.warning("no run can be taken on: %s", error)
-            self._is_cut_off = True
+            self._say_cut_off(error)
             self._stopping.wait(_REFUSED_AGAIN_S if isinstance(error, _NOT_WELCOME) else _AGAIN_S)
         return None
+
+    def _say_cut_off(self, error: Exception) -> None:
+        """Say it once, however long it lasts."""
+        if not self._is_cut_off:
+            _log.warning("no run can be taken on: %s", error)
+        self._is_cut_off = True
 
     def _take(self, claim: Claim, asked_s: float) -> HeldRun:
         _log.info("got the run %s of %s", claim.run_id, claim.action.name)

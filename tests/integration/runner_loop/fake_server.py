@@ -18,7 +18,15 @@ from typing import Any
 from pydantic import BaseModel
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.errors import KleinkramError, NotFound, RunGone, to_problem
+from kleinkram.contract.errors import (
+    FieldProblem,
+    InternalError,
+    InvalidRequest,
+    KleinkramError,
+    NotFound,
+    RunGone,
+    to_problem,
+)
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
@@ -104,6 +112,8 @@ class FakeServer:
         self.is_silent = threading.Event()
         self.spoilt: dict[str, bytes] = {}
         self.slow_bytes_per_s: float | None = None
+        self.fails: dict[str, int] = {}
+        self.refuses_reports = False
         self.holds_uploads = threading.Event()
         self.store_refuses = threading.Event()
         self._objects: dict[str, bytes] = {}
@@ -179,6 +189,9 @@ class FakeServer:
         """Answer a request to the API."""
         name = re.sub(r"[0-9a-f]{8}-[0-9a-f-]{27}", "*", path)
         self.requests[name] += 1
+        if self.fails.get(name):
+            self.fails[name] -= 1
+            raise InternalError(request_id="a-request")
         found = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
         noun = uuid.UUID(found.group()) if found else None
         if name == "/service":
@@ -348,6 +361,8 @@ class FakeServer:
     def _finish(self, run: FakeRun, finish: RunFinish) -> RunFinished:
         if not (run.finishes and run.attempt == finish.attempt):
             self._check(run, finish.attempt)
+        if self.refuses_reports and finish.report.metrics:
+            raise InvalidRequest(problems=[FieldProblem(field="report", message="is refused")])
         run.finishes.append(finish)
         ends = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}
         run.state = ends.get(finish.reason, RunState.failed)

@@ -182,3 +182,21 @@ def test_a_run_that_needs_more_than_there_is_says_so(server: FakeServer, runners
     finish = ended(run).finishes[0]
     assert finish.reason is EndReason.not_possible
     assert "runs no images" in finish.message
+
+
+def test_a_server_in_trouble_is_waited_for(server: FakeServer, runners: Runners) -> None:
+    server.fails = {"/runner/runs/*/context": 2, "/runner/runs/*/finish": 2, "/runner/runs/*/uploads": 1}
+    runners.start()
+    run = server.launch("print('done')")
+    assert [each.reason for each in ended(run).finishes] == [EndReason.done]
+    assert run.artifacts == {LOG_PATH: b"done\n"}
+    assert set(server.fails.values()) == {0}
+
+
+def test_a_report_that_the_server_refuses_does_not_hide_the_end(server: FakeServer, runners: Runners) -> None:
+    server.refuses_reports = True
+    runners.start()
+    run = server.launch("from kleinkram.action import report\nreport.metric('n', 1)")
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.done
+    assert "did not take its report" in finish.problems[0]
