@@ -45,7 +45,7 @@ def missing_programs() -> list[str]:
         try:
             packages = sorted({_PACKAGES[each] for each in wanted})
             subprocess.run(
-                ["apt-get", "install", "-y", "--no-install-recommends", "iptables", "iproute2", *packages],
+                ["apt-get", "install", "-y", "--no-install-recommends", "iptables", *packages],
                 check=True,
                 capture_output=True,
             )

@@ -4,13 +4,14 @@ Imports nothing but Python's own library, since wardens wait for it. Every call 
 may share an engine.
 """
 
-import http.client
 import json
 import os
 import socket
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
+from http import HTTPStatus
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote, urlencode
@@ -92,7 +93,7 @@ class Engine:
         try:
             said = self._ask("GET", f"/images/{quote(name)}/json")
         except Refused as error:
-            if error.status == http.client.NOT_FOUND:
+            if error.status == HTTPStatus.NOT_FOUND:
                 return None
             raise
         volumes = (said.get("Config") or {}).get("Volumes") or {}
@@ -109,9 +110,9 @@ class Engine:
         path = f"/images/create?{urlencode(query)}"
         with self._answer("POST", path, headers=headers, timeout_s=_PULL_TIMEOUT_S) as answer:
             for line in answer:
-                said = json.loads(line)
-                if "error" in said:
-                    raise Refused(http.client.BAD_GATEWAY, said["error"])
+                # Cut short, it names no error, and the image is not there.
+                if line.endswith(b"\n") and "error" in (said := json.loads(line)):
+                    raise Refused(HTTPStatus.BAD_GATEWAY, said["error"])
 
     def create(self, name: str, description: Mapping[str, object]) -> None:
         """Make a container that does not run yet."""
@@ -137,7 +138,7 @@ class Engine:
         try:
             said = self._ask("GET", f"/containers/{name}/json")
         except Refused as error:
-            if error.status == http.client.NOT_FOUND:
+            if error.status == HTTPStatus.NOT_FOUND:
                 return None
             raise
         state = said["State"]
@@ -156,7 +157,7 @@ class Engine:
         try:
             self._ask("DELETE", f"/containers/{name}?force=1&v=1")
         except Refused as error:
-            if error.status not in (http.client.NOT_FOUND, http.client.CONFLICT):
+            if error.status not in (HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT):
                 raise
 
     def labelled(self, label: str) -> list[tuple[str, dict[str, str]]]:
@@ -196,32 +197,36 @@ class Engine:
         *,
         headers: Mapping[str, str] | None = None,
         timeout_s: float | None = _TIMEOUT_S,
-    ) -> Iterator[http.client.HTTPResponse]:
-        body = None if said is None else json.dumps(said).encode()
-        sent = {"Content-Type": "application/json", **(headers or {})}
+    ) -> Iterator[BufferedReader]:
+        body = b"" if said is None else json.dumps(said).encode()
+        sent = {"Host": "engine", "Content-Type": "application/json", "Content-Length": len(body), **(headers or {})}
+        # With HTTP/1.0, an answer comes as it is: in 1.1, each line of a log would be a chunk to be taken apart.
+        head = f"{method} {path} HTTP/1.0\r\n" + "".join(f"{name}: {value}\r\n" for name, value in sent.items())
         try:
-            with closing(_Connection(self.path, timeout_s)) as connection:
-                connection.request(method, path, body, sent)
-                with closing(connection.getresponse()) as answer:
-                    if answer.status >= http.client.BAD_REQUEST:
-                        raise Refused(answer.status, _message(answer.read()))
+            with socket.socket(socket.AF_UNIX) as connection:
+                connection.settimeout(timeout_s)
+                connection.connect(str(self.path))
+                connection.sendall(head.encode() + b"\r\n" + body)
+                with connection.makefile("rb") as answer:
+                    status = _read_head(answer)
+                    if status >= HTTPStatus.BAD_REQUEST:
+                        raise Refused(status, _message(answer.read()))
                     yield answer
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, _CutShort) as error:
             raise EngineAway(f"The engine of containers at {self.path} does not answer: {error}") from error
 
 
-class _Connection(http.client.HTTPConnection):
-    # With HTTP/1.0, an answer comes as it is: in 1.1, each line of a log would be a chunk to be taken apart.
-    _http_vsn, _http_vsn_str = 10, "HTTP/1.0"
+class _CutShort(Exception):
+    pass
 
-    def __init__(self, path: Path, timeout_s: float | None) -> None:
-        super().__init__("localhost", timeout=timeout_s)
-        self._path = path
 
-    def connect(self) -> None:
-        self.sock = socket.socket(socket.AF_UNIX)
-        self.sock.settimeout(self.timeout)
-        self.sock.connect(str(self._path))
+def _read_head(answer: BufferedReader) -> int:
+    """Read status and headers, and return the first. No header matters: the answer ends with the connection."""
+    words = answer.readline().split()
+    while (line := answer.readline()) not in (b"\r\n", b"\n"):
+        if not line:
+            raise _CutShort("it stopped in the middle")
+    return int(words[1])
 
 
 def _message(text: bytes) -> str:
@@ -231,7 +236,7 @@ def _message(text: bytes) -> str:
         return text.decode(errors="replace").strip()
 
 
-def _frames(answer: http.client.HTTPResponse) -> Iterator[list[Piece]]:
+def _frames(answer: BufferedReader) -> Iterator[list[Piece]]:
     """Take frames apart: a byte for the stream, three of nothing, four for the size of what follows."""
     held = b""
     while data := answer.read1(2**18):

@@ -8,7 +8,6 @@ Imports nothing but Python's own library, since runs wait for it.
 """
 
 import contextlib
-import http.client
 import json
 import os
 import re
@@ -17,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -321,7 +321,7 @@ def _could_not_start(what: str) -> str:
 
 def _why_not(error: Refused | OSError) -> tuple[str, str]:
     """Return reason and sentence for a container that could not be made or started."""
-    if isinstance(error, Refused) and error.status == http.client.NOT_FOUND:
+    if isinstance(error, Refused) and error.status == HTTPStatus.NOT_FOUND:
         return "image_unavailable", f"Its image is gone: {error}."
     if "executable file not found" in str(error):
         return "command_not_found", _could_not_start(str(error))
