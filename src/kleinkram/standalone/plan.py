@@ -93,7 +93,7 @@ class Plan:
         environment = {**_THRIFT, **{name: os.environ[name] for name in _ENGINE if name in os.environ}}
         if certificate is not None:
             write_private(self.data_dir.certificates_file, bundle_with(certificate))
-            environment.setdefault("SSL_CERT_FILE", str(self.data_dir.certificates_file))
+            environment["SSL_CERT_FILE"] = str(self.data_dir.certificates_file)
         said: dict[str, object] = {
             "url": url,
             "data_dir": str(self.data_dir.runner),
