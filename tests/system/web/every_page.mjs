@@ -209,6 +209,15 @@ await look(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-
 await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-look][data-messages]" });
 await look(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
 await look(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
+await look(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
+await look(page, "actions", { path: "/actions", shows: [texts.action, texts.description] });
+await look(page, "action", { path: `/actions/${ids.action}`, shows: [texts.action, texts.description, texts.value] });
+await look(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form [id]", shows: [mission, texts.description] });
+await look(page, "runs", { path: "/runs", shows: [texts.action, mission] });
+const ofRun = (query) => `/runs/${ids.run}?${query}`;
+await look(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", shows: [texts.action, mission, texts.notes, texts.value, texts.label] });
+for (const part of ["metrics", "artifacts", "inputs", "definition"]) await look(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
+await look(page, "run-findings", { path: ofRun("tab=findings"), shows: [texts.value, texts.topic] });
 await look(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });

@@ -27,6 +27,7 @@ TOPIC = "/<img src=x onerror=wasRun=1>/{{7*7}}"
 TYPE = "evil_msgs/<svg onload=wasRun=1>"
 RECORDING = '"><svg onload=wasRun=1>.mcap'
 TEXT = "<iframe srcdoc='<script>parent.wasRun=1<'>.txt"
+ACTION = "look <img src=x onerror=wasRun=1>"
 BROKEN = "cut <img src=x onerror=wasRun=1>.bag"
 
 _FIELDS = [
@@ -40,6 +41,25 @@ _FIELDS = [
     {"name": "operator", "type": "string", "pattern": "[a-z<>=\\s]+", "required": True, "description": VALUE},
     {"name": "wind", "type": "number", "unit": "<b>m"},
 ]
+
+
+_SCRIPT = f"""\
+# /// script
+# [tool.kleinkram]
+# name = {json.dumps(ACTION)}
+# description = {json.dumps(DESCRIPTION)}
+# parameters = [{{name = "robot", type = "choice", choices = [{json.dumps(VALUE)}], description = {json.dumps(VALUE)}}}]
+# ///
+from kleinkram.action import out, report
+
+print({NOTES!r}, flush=True)
+report.finding("error", "evil", {VALUE!r}, topic={TOPIC!r})
+report.metric("evil", 1, unit="<b>m")
+report.propose(robot={VALUE!r})
+for ending in ("svg", "csv", "geojson"):
+    (out / f"evil.{{ending}}").write_text({NOTES!r})
+    report.preview(f"evil.{{ending}}", title={LABEL!r})
+"""
 
 
 @dataclass(frozen=True)
@@ -79,12 +99,20 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     def files() -> list[dict[str, Any]]:
         return list(terminal.run("file", "list", "--json").json()["items"])
 
+    script = folder / "evil.py"
+    script.write_text(_SCRIPT)
+    terminal.run("action", "create", script)
+    terminal.run("action", "run", ACTION, *place, "--set", f"robot={VALUE}", "--follow", "--yes")
     wait_until(lambda: all(file["content"] != "pending" for file in files()), "all files to be read")
     known = {file["path"]: file["id"] for file in files()}
     missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
     projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
     groups = {each["name"]: each["id"] for each in terminal.run("group", "list", "--json").json()["items"]}
+    actions = terminal.run("action", "list", "--json").json()["items"]
+    runs = terminal.run("run", "list", "--json").json()["items"]
     ids = {
+        "action": actions[0]["id"],
+        "run": runs[0]["id"],
         "project": projects[PROJECT],
         "empty": projects["Nothing yet"],
         "public": projects["Lakes"],

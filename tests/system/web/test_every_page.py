@@ -28,6 +28,7 @@ _TEXTS = {
     "recording": hostile.RECORDING,
     "text": hostile.TEXT,
     "broken": hostile.BROKEN,
+    "action": hostile.ACTION,
     "gone": f"gone {hostile.LABEL}",
 }
 

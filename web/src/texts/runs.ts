@@ -116,7 +116,7 @@ export const texts = {
   proposed: {
     title: "Proposed metadata",
     why: "What this run found out about the mission. Nothing is changed until you take it over.",
-    name: "Field", now: "Now", proposed: "Proposed", take: "Take over",
+    name: "Field", now: "Now", proposed: "Proposed", take: "Take over", takeAll: "Take over all",
     takeOne: (name: string) => `Take over ${name}`,
     taken: "The mission has it now.", same: "The mission says all of this already.", empty: "–",
   },

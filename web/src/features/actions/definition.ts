@@ -40,5 +40,6 @@ export function boundsOf({ minimum, maximum, choices }: Parameter): string {
 /** What a parameter is unless somebody says otherwise. */
 export function presetOf({ default: preset, unit }: Parameter): string {
   if (preset === null || preset === undefined) return texts.must;
+  if (typeof preset === "boolean") return all.launch[preset ? "yes" : "no"].toLowerCase();
   return unit ? `${preset} ${unit}` : String(preset);
 }

@@ -1,0 +1,128 @@
+// What a person does who runs an action: from a mission to a form of its parameters, to the run as it lasts, to what it
+// said and left, and from there back to the mission and the file; then on many missions at once; and ends a run.
+// Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser, a link that signs
+// in, the server's address, where pictures go.
+import { openBrowser } from "./browsing.mjs";
+
+const [web, executablePath, link, address, pictures] = process.argv.slice(2);
+const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { page } = await somebody();
+const tab = (name) => page.getByRole("navigation", { name: "Parts of this run" }).getByRole("link", { name });
+const rows = async () => {
+  await page.locator("main [data-index]:not(:has(.coming))").first().waitFor();
+  return page.locator("main [data-index]").allInnerTexts();
+};
+const ended = (state) => page.locator(`[data-state="${state}"]`).waitFor();
+const runNow = page.getByRole("button", { name: /^Run$|^Run on \d/ });
+
+await page.goto(link);
+await page.waitForURL((url) => url.pathname === "/");
+await page.goto(`${address}/actions`);
+await page.locator("main [data-way]").first().waitFor();
+await look(page, "actions");
+await page.locator("main [data-way]").first().click();
+await page.getByText("Show the script").click();
+await look(page, "action");
+
+// From the mission to the form, which says what is wrong where it is wrong.
+await page.goto(`${address}/projects`);
+await page.locator("main [data-way]", { hasText: "Alps" }).click();
+await page.locator("main [data-way]", { hasText: "Wet" }).click();
+await page.getByRole("link", { name: "Run …" }).click();
+await page.getByLabel("Action").selectOption({ index: 1 });
+await page.getByLabel("speed").fill("11");
+await runNow.click();
+seen.wrong = await page.locator("form [id$='-error']").allInnerTexts();
+await page.waitForFunction(() => document.querySelectorAll("datalist option").length > 0);
+seen.topics = await page.locator("datalist option").evaluateAll((all) => all.map(({ value }) => value));
+await look(page, "launch");
+await page.getByLabel("top", { exact: false }).first().fill("/imu/data");
+await page.getByLabel("speed").fill("3");
+await page.getByLabel("slow").selectOption("true");
+await runNow.click();
+
+// The run as it lasts, and its log once it is over.
+await page.waitForURL((url) => /^\/runs\/[0-9a-f-]{36}$/.test(url.pathname));
+const run = page.url();
+await page.locator("progress").waitFor();
+seen.live = { progress: await page.getByText("half of it").first().innerText() };
+await look(page, "run-live");
+await ended("done");
+await page.locator("[data-log][data-over]").waitFor();
+await page.getByText("the very end").waitFor();
+const lines = page.locator("[data-log] .line");
+seen.log = { last: (await lines.allInnerTexts()).at(-1), drawn: await lines.count() };
+await page.getByPlaceholder("Find in the log").fill("LINE 1234");
+await page.locator("[data-log] .found").waitFor();
+seen.log.found = await page.locator("[data-log] [role=status]").innerText();
+seen.log.inSight = await lines.allInnerTexts();
+await look(page, "run-log");
+
+// What it said and left.
+await page.locator("main figure svg").first().waitFor();
+await page.locator("main td").first().waitFor();
+await page.waitForFunction(() => [...document.querySelectorAll("main img")].some((each) => each.naturalWidth > 0));
+seen.previews = {
+  pictures: await page.locator("main img").count(),
+  inline: await page.locator("main svg script, main svg[onload]").count(),
+  track: await page.locator("main figure svg").getAttribute("aria-label"),
+  cells: await page.locator("main td").allInnerTexts(),
+};
+await tab(/^Findings/).click();
+seen.findings = await rows();
+seen.findingLeadsTo = await page.locator("main [data-index] a").first().getAttribute("href");
+await look(page, "run-findings");
+await tab(/^Metrics/).click();
+await page.getByText("ate_rmse").waitFor();
+seen.metrics = await rows();
+await tab(/^Artifacts/).click();
+await page.getByText("table.csv").first().waitFor();
+seen.artifacts = (await rows()).map((text) => text.split("\n")[0]);
+const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download table.csv" }).click()]);
+seen.downloaded = download.suggestedFilename();
+await tab(/^Inputs/).click();
+await rows();
+await tab(/^Action/).click();
+await page.getByText("Show the script").waitFor();
+await page.locator("[data-proposed]").getByRole("button", { name: "Take over all" }).click();
+await page.getByText("The mission says all of this already.").waitFor();
+await page.getByRole("link", { name: /^Wet/ }).first().click();
+await page.locator("[data-metadata]").getByText("anymal").waitFor();
+seen.taken = Object.fromEntries(await page.locator("[data-metadata] .value").evaluateAll((all) => all.map((each) => [each.querySelector("dt")?.textContent, each.querySelector("dd")?.textContent?.trim()])));
+await page.getByRole("navigation", { name: "Views of the mission" }).getByRole("link", { name: "Runs" }).click();
+await rows();
+await look(page, "mission-runs");
+
+// The file says who read it.
+await page.goto(`${address}${seen.findingLeadsTo}`);
+await page.locator("[data-lineage]").waitFor();
+seen.lineage = await page.locator("[data-lineage]").innerText();
+await look(page, "file-lineage");
+
+// Again; on many; and one that is ended.
+await page.goto(run);
+await page.getByRole("button", { name: "Run again" }).click();
+await page.waitForURL((url) => url.href !== run && /^\/runs\/[0-9a-f-]{36}$/.test(url.pathname));
+await ended("done");
+seen.again = { state: await page.locator("[data-state]").getAttribute("data-state") };
+await page.goto(`${address}/runs/new`);
+await page.getByLabel("Action").selectOption({ index: 1 });
+for (const name of ["Add Alps / night", /^Add Alps . Wet/]) await page.getByRole("button", { name }).click();
+await page.getByLabel("top", { exact: false }).first().fill("/odom");
+await page.getByLabel("slow").selectOption("true");
+await page.getByRole("checkbox", { name: /^Run although/ }).check();
+await runNow.click();
+await page.locator("[data-outcome]").waitFor();
+seen.many = { made: await page.locator("[data-outcome] .line").first().innerText() };
+await look(page, "launched");
+await page.getByRole("link", { name: "To the runs" }).click();
+await page.waitForFunction(() => document.querySelectorAll("main [data-index] [data-way]").length >= 4);
+seen.many.runs = await rows();
+await look(page, "runs");
+await page.locator("main [data-way]").first().click();
+await page.getByRole("button", { name: "Cancel" }).click();
+await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).last().click();
+await ended("cancelled");
+seen.cancelled = await page.locator("[data-state]").getAttribute("data-state");
+await look(page, "run-cancelled");
+await tell();
