@@ -2630,10 +2630,10 @@ export interface components {
             files: components["schemas"]["UploadFile"][];
         };
         /**
-         * ArtifactsWanted
-         * @description Artifacts of one run to be fetched.
+         * ArtifactsRequest
+         * @description Artifacts of a run to fetch.
          */
-        ArtifactsWanted: {
+        ArtifactsRequest: {
             /** Artifact Ids */
             artifact_ids: string[];
         };
@@ -2653,7 +2653,7 @@ export interface components {
         };
         /**
          * ArtifactUrls
-         * @description Where to read them, in the order asked.
+         * @description Where to fetch them, in the order asked.
          */
         ArtifactUrls: {
             /** Items */
@@ -15687,7 +15687,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["ArtifactsWanted"];
+                "application/json": components["schemas"]["ArtifactsRequest"];
             };
         };
         responses: {

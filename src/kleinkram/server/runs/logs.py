@@ -15,7 +15,7 @@ from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, log_segment, run
 from kleinkram.server.tables.run import ACTIVE
 
-_PIECE_BYTES = 256 * 1024
+_PIECE_BYTES = 2**20
 _LOOK_EVERY_S = 5.0
 _SOON = {"run", "run_log"}
 

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.runs import (
     ArtifactRead,
-    ArtifactUrl,
+    ArtifactsRequest,
+    ArtifactUrls,
     FindingRead,
     LineageRead,
     LogPiece,
@@ -27,7 +28,6 @@ from kleinkram.server.pages import PageRequest
 from kleinkram.server.runs import ending, launching, lineage, logs, reading
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
-_MOST_ARTIFACTS = 1000
 
 
 class RunListQuery(RunFilter):
@@ -53,22 +53,6 @@ class LogQuery(BaseModel):
 
     offset: Annotated[int, Field(ge=0, lt=2**40)] = 0
     wait_s: Annotated[float, Field(ge=0, le=25)] = 0
-
-
-class ArtifactsWanted(BaseModel):
-    """Artifacts of one run to be fetched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=_MOST_ARTIFACTS)]
-
-
-class ArtifactUrls(BaseModel):
-    """Where to read them, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
-
-    items: list[ArtifactUrl]
 
 
 @router.post("/runs", operation_id="create_runs")
@@ -128,7 +112,7 @@ async def list_artifacts(
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsWanted, site: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, wanted: ArtifactsRequest, site: CurrentSite, actor: CurrentActor
 ) -> ArtifactUrls:
     """Return where to read artifacts; who asked is noted."""
     items = await reading.link_artifacts(site, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
