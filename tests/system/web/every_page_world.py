@@ -48,7 +48,7 @@ _SCRIPT = f"""\
 # [tool.kleinkram]
 # name = {json.dumps(ACTION)}
 # description = {json.dumps(DESCRIPTION)}
-# parameters = [{{name = "robot", type = "choice", choices = [{json.dumps(VALUE)}], description = {json.dumps(VALUE)}}}]
+# parameters = [{{name = "robot", type = "choice", choices = [{json.dumps(VALUE[:60])}], description = {json.dumps(VALUE)}}}]
 # ///
 from kleinkram.action import out, report
 
@@ -102,7 +102,7 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     script = folder / "evil.py"
     script.write_text(_SCRIPT)
     terminal.run("action", "create", script)
-    terminal.run("action", "run", ACTION, *place, "--set", f"robot={VALUE}", "--follow", "--yes")
+    terminal.run("action", "run", ACTION, *place, "--set", f"robot={VALUE[:60]}", "--follow", "--yes")
     wait_until(lambda: all(file["content"] != "pending" for file in files()), "all files to be read")
     known = {file["path"]: file["id"] for file in files()}
     missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
