@@ -49,5 +49,6 @@ def test_the_runner_of_klein_up_is_killed_and_its_run_goes_on(
     said = terminal.run("run", "info", run_id, "--json").json()
     assert (said["state"], said["attempt"], said["artifact_count"]) == ("done", 1, 1)
     assert terminal.run("run", "logs", run_id).out.split("\n")[:40] == [f"step {step}" for step in range(40)]
-    (runner,) = [each for each in terminal.run("runner", "list", "--json").json()["items"] if each["name"] == "klein-up"]
+    runners = terminal.run("runner", "list", "--json").json()["items"]
+    (runner,) = [each for each in runners if each["name"] == "klein-up"]
     assert runner["is_alive"]

@@ -3,6 +3,7 @@
 Each step is written down before it is done, and may be done again: a runner that was killed finds its run where it was.
 """
 
+import contextlib
 import logging
 import math
 import threading
@@ -16,10 +17,11 @@ from kleinkram.runner.disk import remove_tree
 from kleinkram.runner.ground import Ground, work_of
 from kleinkram.runner.keeping import Keeping
 from kleinkram.runner.logs import LogFollower
-from kleinkram.runner.orders import Lease, Order, Orders, Told, now_s
+from kleinkram.runner.orders import Lease, Order, Orders, Told
 from kleinkram.runner.preparing import Preparing
 from kleinkram.runner.progress import ProgressReader
 from kleinkram.runner.redacting import Redactor
+from kleinkram.runner.ward import now_s
 from kleinkram.runner.work import CannotStart, Ending
 
 _log = logging.getLogger("kleinkram.runner")
@@ -92,6 +94,8 @@ class HeldRun:
             self.orders.give(Order.let_go)
             return
         self.lease.renew(asked_s, lease_s)
+        with contextlib.suppress(OSError):  # its folder is gone, or the disk is full: then it ends early
+            self.lease.write_down(self._attempt.folder)
         del self._samples[: len(beat.samples)]
         self._has_word.set()
         if answer.verdict is Verdict.cancel:
@@ -184,6 +188,7 @@ class HeldRun:
         self.orders.check()
         if self.lease.is_over():
             raise Told(Order.let_go)
+        self.lease.write_down(self._attempt.folder)
         self._ground.executor.start(work_of(self._ground, self._attempt))
         self._is_started = True
         self._attempt.change(started_s=now_s())

@@ -2,8 +2,10 @@
 
 import enum
 import threading
-import time
 from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.runner.ward import HELD, now_s
 
 # What a run is ended by, so that two never run at once: so long before its lease can run out.
 MARGIN_S = 10.0
@@ -72,7 +74,10 @@ class Orders:
 
 
 class Lease:
-    """How long a run is ours, by a clock that nobody sets and that goes on while the machine sleeps."""
+    """How long a run is ours, by a clock that nobody sets and that goes on while the machine sleeps.
+
+    It is written down beside the run, so that what watches the run ends it when this runner is gone.
+    """
 
     def __init__(self, until_s: float) -> None:
         self._until_s = until_s
@@ -85,8 +90,8 @@ class Lease:
         """Whether another runner may soon have it."""
         return now_s() > self._until_s
 
-
-def now_s() -> float:
-    """Return the time since this machine was started, sleep included."""
-    clock = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if clock is None else time.clock_gettime(clock)
+    def write_down(self, folder: Path) -> None:
+        """Note it in a run's folder."""
+        aside = folder / f"{HELD}.new"
+        aside.write_text(str(self._until_s))
+        aside.replace(folder / HELD)

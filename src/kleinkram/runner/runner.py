@@ -30,8 +30,9 @@ from kleinkram.runner.ground import Ground
 from kleinkram.runner.held import HeldRun
 from kleinkram.runner.home import Home
 from kleinkram.runner.machine import Share, cache_bytes_of, capacity_of, what_is_left
-from kleinkram.runner.orders import MARGIN_S, Lease, Order, now_s
+from kleinkram.runner.orders import MARGIN_S, Lease, Order
 from kleinkram.runner.stock import StockImage
+from kleinkram.runner.ward import now_s
 from kleinkram.runner.work import Executor
 
 _log = logging.getLogger("kleinkram.runner")

@@ -7,10 +7,13 @@ import contextlib
 import json
 import os
 import signal
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
+# Until when the runner holds the run, in seconds by `now_s`: without one, for as long as the run lasts.
+HELD = "held"
 STARTED = b"started\n"
 LOG_IS_FULL = b"\n[kleinkram] the log is full: what comes after this is not kept\n"
 # An empty file takes room, too: of what a disk can name.
@@ -34,6 +37,20 @@ def _size_of(folder: Path) -> int:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(entry.path)
     return total
+
+
+def is_held(folder: Path) -> bool:
+    """Whether the runner still holds a run: a runner that is gone renews nothing, and another one gets its runs."""
+    try:
+        return now_s() < float((folder / HELD).read_text())
+    except (FileNotFoundError, ValueError):
+        return True
+
+
+def now_s() -> float:
+    """Return the time since this machine was started, sleep included."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 def told_by_code(code: int) -> tuple[str, str]:
@@ -61,6 +78,7 @@ def too_long(time_s: int) -> tuple[str, str]:
 
 
 CANCELLED = ("cancelled", "It was cancelled.")
+NOT_HELD = ("lost", "Its runner was not there for too long, so it was ended: another runner may have it.")
 
 
 def _mb(size_bytes: int) -> str:

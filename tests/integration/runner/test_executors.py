@@ -16,7 +16,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import wardens
+from kleinkram.runner import ward, wardens
 from kleinkram.runner.work import GRACE_S, CannotStart, Door
 from tests.integration.runner.conftest import Bench, log_of
 
@@ -357,3 +357,12 @@ def test_a_door_that_cannot_be_made(isolated: Bench) -> None:
     with pytest.raises(CannotStart, match="IPv6") as caught:
         isolated.executor.start(work)
     assert caught.value.ending.reason is EndReason.not_possible
+
+
+def test_a_run_that_nobody_holds_any_more_is_ended(bench: Bench) -> None:
+    work = bench.work(LASTING)
+    (work.folder / ward.HELD).write_text(str(ward.now_s() + 1.5))
+    bench.executor.start(work)
+    ending = bench.end_of(work)
+    assert ending.reason is EndReason.lost
+    assert "another runner may have it" in ending.message

@@ -107,6 +107,18 @@ def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
 
 
 @pytest.mark.slow
+def test_the_run_of_a_runner_that_is_gone_ends_before_another_one_gets_it(server: FakeServer, runners: Runners) -> None:
+    server.lease_s = MARGIN_S + 3.5
+    first = runners.spawn()
+    run = server.launch(LASTING, lease_s=MARGIN_S + 3.5)
+    beat = until_running(runners, run)
+    runners.kill(first)
+    killed_at = time.monotonic()
+    wait_until(lambda: not is_alive(beat), timeout_s=MARGIN_S + 3.5)
+    assert time.monotonic() - killed_at < MARGIN_S + 3.5
+
+
+@pytest.mark.slow
 def test_a_run_of_another_runner_is_killed(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(LASTING)

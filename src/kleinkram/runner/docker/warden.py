@@ -29,6 +29,7 @@ _T = TypeVar("_T")
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
+_SEE_WHETHER_HELD_EVERY_S = 1.0
 _RETRY_EVERY_S = 0.2
 # An engine that is restarted is back by then. What still runs is waited for longer: until its time is over.
 _ENGINE_BACK_S = 60.0
@@ -59,7 +60,7 @@ class Warden:
         self._was_alone = self._was_away = False
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
-        self._disk_at = self._told_at = 0.0
+        self._disk_at = self._told_at = self._held_at = 0.0
         self._groups: dict[str, str] = {}
         self._use: dict[str, float] = {}
         self._attached = contextlib.ExitStack()
@@ -141,7 +142,8 @@ class Warden:
                 # Over, or not to be seen from here.
                 self._over.wait(_LOOK_EVERY_S)
                 break
-            if any(each != first for each in mine):
+            # One that is over, and was not reaped yet, has an empty one.
+            if any(each and each != first for each in mine):
                 return True
             self._over.wait(0.002)
         return not self._over.is_set() or self._no_command(self._find_now()) is None
@@ -162,6 +164,10 @@ class Warden:
             self._end(ward.CANCELLED)
         if self._lasts_s() > self._work["time_s"]:
             self._end(ward.too_long(self._work["time_s"]))
+        if now >= self._held_at:
+            self._held_at = now + _SEE_WHETHER_HELD_EVERY_S
+            if not ward.is_held(self._folder):
+                self._end(ward.NOT_HELD, grace_s=0)
         if now >= self._disk_at:
             self._look_at_disk()
             # A look at very many files takes long: no more than a tenth of the time.
@@ -173,7 +179,7 @@ class Warden:
 
     def _lasts_s(self) -> float:
         """How long the container runs, by a clock that nobody sets."""
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - self._began / _TICKS_PER_S if self._began else 0.0
+        return ward.now_s() - self._began / _TICKS_PER_S if self._began else 0.0
 
     def _lives(self) -> bool:
         return self._began > 0 and ward.began(self._pid) == self._began

@@ -26,6 +26,7 @@ from kleinkram.runner.process.room import Room, bound, run_in
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
 _TELL_USAGE_EVERY_S = 1.0
+_SEE_WHETHER_HELD_EVERY_S = 1.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _NOT_FOUND = "not found: "
 _Taker = Callable[[bytes], None]
@@ -50,7 +51,7 @@ class Warden:
         self._use = _Use()
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
-        self._disk_at = self._told_at = 0.0
+        self._disk_at = self._told_at = self._held_at = 0.0
         self._ways = [doors.Way(**door) for door in self._work["doors"]]
         self._failure = b""
         self._log_left: int = self._work["log_bytes"]
@@ -150,6 +151,10 @@ class Warden:
             self._end(ward.too_much_memory(self._work["memory_bytes"]), grace_s=0)
         if now > self._deadline:
             self._end(ward.too_long(self._work["time_s"]))
+        if now >= self._held_at:
+            self._held_at = now + _SEE_WHETHER_HELD_EVERY_S
+            if not ward.is_held(self._folder):
+                self._end(ward.NOT_HELD, grace_s=0)
         if now >= self._disk_at:
             self._look_at_disk()
             # A look at very many files takes long: no more than a tenth of the time.
