@@ -240,7 +240,8 @@ await look(page, "group", { path: `/groups/${ids.group}`, shows: [texts.group, t
 await look(page, "account", { path: "/account" });
 await look(page, "tokens", { path: "/tokens", shows: [texts.token] });
 await look(page, "sessions", { path: "/sessions" });
-await look(page, "audit", { path: "/audit", shows: [texts.group, project] });
+await look(page, "audit", { path: "/audit", shows: [project] });
+await look(page, "audit-groups", { path: "/audit?operation=group.*", shows: [texts.group] });
 await look(page, "trash", { path: "/trash", shows: [texts.gone, project] });
 for (const tab of ["storage", "jobs", "health", "settings"]) await look(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
 await look(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allows: REFUSED });
