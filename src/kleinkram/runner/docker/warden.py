@@ -142,8 +142,8 @@ class Warden:
                 # Over, or not to be seen from here.
                 self._over.wait(_LOOK_EVERY_S)
                 break
-            # One that is over, and was not reaped yet, has an empty one.
-            if any(each and each != first for each in mine):
+            # What is over, and was not reaped yet, has an empty one.
+            if first and any(each and each != first for each in mine):
                 return True
             self._over.wait(0.002)
         return not self._over.is_set() or self._no_command(self._find_now()) is None
