@@ -37,6 +37,8 @@ _LOG_DRAINED_S = 120.0
 _OUT_OF_MEMORY_TOLD_S = 0.5
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _KILLED = 128 + signal.SIGKILL
+# An engine on a busy machine tells late that a container is over.
+_TOLD_TO_BE_OVER_S = 5.0
 # A container that ends closes its outputs first.
 _SEEN_TO_BE_OVER_S = 1.0
 # What engines give to a container whose end they did not see.
@@ -139,8 +141,8 @@ class Warden:
                 mine = [Path(f"/proc/{each}/cmdline").read_bytes() for each in children.read_text().split()]
                 first = Path(f"/proc/{self._pid}/cmdline").read_bytes()
             except OSError:
-                # Over, or not to be seen from here.
-                self._over.wait(_LOOK_EVERY_S)
+                # Over, which the engine says a moment later; or not to be seen from here.
+                self._over.wait(_LOOK_EVERY_S if self._lives() else _TOLD_TO_BE_OVER_S)
                 break
             # What is over, and was not reaped yet, has an empty one.
             if first and any(each and each != first for each in mine):
