@@ -7,6 +7,7 @@ import datetime
 import enum
 import math
 import uuid
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Annotated
 
@@ -176,6 +177,14 @@ class Resources(BaseModel):
     labels: Annotated[list[Label], Field(max_length=20)] = []
 
 
+class ParametersWrong(ValueError):
+    """What is wrong with the values given to an action, as a sentence by the name of each parameter."""
+
+    def __init__(self, problems: Mapping[str, str]) -> None:
+        super().__init__("; ".join(problems.values()))
+        self.problems = problems
+
+
 class ActionDefinition(BaseModel):
     """What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
 
@@ -215,17 +224,25 @@ class ActionDefinition(BaseModel):
         """Return the values of all parameters: those given, checked, and the defaults of the others.
 
         Raises:
-            ValueError: one is unknown, missing or not what it should be.
+            ParametersWrong: some are unknown, missing or not what they should be.
         """
         known = {parameter.name: parameter for parameter in self.parameters}
-        if unknown := sorted(set(given) - set(known)):
-            choices = ", ".join(known) or "none at all"
-            raise ValueError(f"{self.name} has no parameter {unknown[0]!r}; it has {choices}")
-        missing = [name for name, each in known.items() if each.default is None and name not in given]
-        if missing:
-            raise ValueError(f"{self.name} must be told its parameter {missing[0]!r}")
-        said = {name: given.get(name, each.default) for name, each in known.items()}
-        return {name: known[name].check(value) for name, value in said.items() if value is not None}
+        choices = ", ".join(known) or "none at all"
+        unknown = sorted(set(given) - set(known))
+        problems = {name: f"{self.name} has no parameter {name!r}; it has {choices}" for name in unknown}
+        values: ParameterValues = {}
+        for name, parameter in known.items():
+            value = given.get(name, parameter.default)
+            try:
+                if value is not None:
+                    values[name] = parameter.check(value)
+                else:
+                    problems[name] = f"{self.name} must be told its parameter {name!r}"
+            except ValueError as error:
+                problems[name] = str(error)
+        if problems:
+            raise ParametersWrong(problems)
+        return values
 
 
 class ActionCreate(BaseModel):

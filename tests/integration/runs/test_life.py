@@ -179,3 +179,11 @@ def test_what_a_runner_has_free_is_kept_to(lab: Api, runner: Played, place: Plac
     assert runner.claim(cores=2) is None
     assert runner.claim(memory_bytes=7 * 10**9) is None
     assert runner.claim(cores=3) is not None
+
+
+def test_each_wrong_parameter_is_named(lab: Api, runner: Played, place: Place) -> None:
+    parameters = [{"name": "rate", "type": "number", "minimum": 0}, {"name": "topic", "type": "topic"}]
+    action = {"name": "count", "script": "x", "parameters": parameters}
+    wanted = {"mission_ids": [place.mission["id"]], "definition": action, "parameters": {"rate": -1, "speed": 2}}
+    problems = lab.post("/runs", wanted).refused(422, "invalid_request")["problems"]
+    assert {each["field"] for each in problems} == {"parameters.rate", "parameters.topic", "parameters.speed"}

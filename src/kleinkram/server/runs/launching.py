@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Row, false, func, insert, or_, select
 
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, ParametersWrong, ParameterValues
 from kleinkram.contract.errors import (
     FieldProblem,
     FileUnavailable,
@@ -149,8 +149,9 @@ async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
         raise AssertionError("a request names an action or holds one")
     try:
         parameters = definition.fill_in(wanted.parameters)
-    except ValueError as error:
-        raise InvalidRequest(problems=[FieldProblem(field="parameters", message=str(error))]) from error
+    except ParametersWrong as error:
+        problems = [FieldProblem(field=f"parameters.{name}", message=said) for name, said in error.problems.items()]
+        raise InvalidRequest(problems=problems) from error
     return Task(version_id, definition, digest, project_id, parameters)
 
 

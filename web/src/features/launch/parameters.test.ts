@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { judgeAll, judgeParameter, namedIn, sent } from "./parameters";
+import { judgeAll, judgeParameter, sent } from "./parameters";
 import type { Parameter } from "@/api/types";
 
 function parameter(name: string, type: Parameter["type"], more: Partial<Parameter> = {}): Parameter {
@@ -25,10 +25,4 @@ it("what has no default must be said, also where it is false or zero", () => {
 it("only what was given is sent", () => {
   const all = [parameter("a", "string"), parameter("b", "boolean"), parameter("c", "number")];
   expect(sent(all, { a: "", b: false, c: 0, gone: "x" })).toEqual({ b: false, c: 0 });
-});
-
-it("the server's sentence finds its field", () => {
-  const all = [parameter("speed", "number"), parameter("top", "topic")];
-  expect(namedIn("'top' is the name of a topic, not 3", all)).toBe("top");
-  expect(namedIn("the action is archived", all)).toBeNull();
 });

@@ -36,8 +36,3 @@ export function sent(parameters: readonly Parameter[], given: Given): Record<str
     return value === null || value === "" ? [] : [[name, value] as const];
   }));
 }
-
-/** Returns the parameter that a sentence of the server's is about, by its name in quotes; null where it names none. */
-export function namedIn(sentence: string, parameters: readonly Parameter[]): string | null {
-  return parameters.find(({ name }) => sentence.includes(`'${name}'`))?.name ?? null;
-}
