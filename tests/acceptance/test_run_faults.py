@@ -46,8 +46,8 @@ def test_parts_are_killed(
     launched = terminal.run("action", "run", script, "-p", project, "-m", "drive", "--json").json()
     run_id = launched["items"][0]["run"]["id"]
     wait_until(lambda: "step 3" in terminal.run("run", "logs", run_id).out, "the run to begin")
-    for part in parts:
-        instance.kill_part(part)
+    assert (instance.data_dir / "runner-token").stat().st_mode & 0o777 == 0o600
+    killed = {part: instance.kill_part(part) for part in parts}
 
     def is_over() -> bool:
         said = terminal.run("run", "info", run_id, "--json", code=None)
@@ -56,5 +56,8 @@ def test_parts_are_killed(
     wait_until(is_over, "the end of the run")
     said = terminal.run("run", "info", run_id, "--json").json()
     assert (said["state"], said["attempt"], said["artifact_count"], said["metric_count"]) == ("done", 1, 1, 1)
+    assert all(instance.told()["parts"][part] not in {None, pid} for part, pid in killed.items())
+    (runner,) = terminal.run("runner", "list", "--json").json()["items"]
+    assert (runner["name"], runner["is_alive"]) == ("klein-up", True)
     lines = terminal.run("run", "logs", run_id).out.splitlines()
     assert lines == [f"step {step}" for step in range(_STEPS)]
