@@ -48,7 +48,11 @@ _SCRIPT = f"""\
 # [tool.kleinkram]
 # name = {json.dumps(ACTION)}
 # description = {json.dumps(DESCRIPTION)}
-# parameters = [{{name = "robot", type = "choice", choices = [{json.dumps(VALUE[:60])}], description = {json.dumps(VALUE)}}}]
+# [[tool.kleinkram.parameters]]
+# name = "robot"
+# type = "choice"
+# choices = [{json.dumps(VALUE[:60])}]
+# description = {json.dumps(VALUE)}
 # ///
 from kleinkram.action import out, report
 
