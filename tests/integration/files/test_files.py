@@ -140,7 +140,7 @@ def test_labels_replace_each_other_and_repeat_nothing(api: Api, sample: Sample, 
 
 def test_a_deleted_file_is_gone_and_its_path_is_free(api: Api, sample: Sample, mission: str) -> None:
     file_id = sample.file(mission, "a.mcap", size_bytes=9)
-    expected = {"missions": 0, "files": 1, "size_bytes": 9}
+    expected = {"missions": 0, "files": 1, "size_bytes": 9, "read_by_runs": 0, "made_from_it": []}
     assert api.delete(f"/files/{file_id}", {"dry_run": "true"}).ok() == {**expected, "dry_run": True}
     assert api.delete(f"/files/{file_id}").ok() == {**expected, "dry_run": False}
     api.get(f"/files/{file_id}").refused(404, "not_found")

@@ -184,7 +184,7 @@ def test_a_deleted_project_is_gone_with_all_it_holds_and_its_name_is_free(api: A
     project = api.project()
     mission = api.mission(project["id"])
     file_id = sample.file(mission["id"], "a.mcap", size_bytes=7)
-    expected = {"missions": 1, "files": 1, "size_bytes": 7}
+    expected = {"missions": 1, "files": 1, "size_bytes": 7, "read_by_runs": 0, "made_from_it": []}
     assert api.delete(f"/projects/{project['id']}", {"dry_run": "true"}).ok() == {**expected, "dry_run": True}
     assert api.get(f"/projects/{project['id']}").ok()["file_count"] == 1
     assert api.delete(f"/projects/{project['id']}").ok() == {**expected, "dry_run": False}
