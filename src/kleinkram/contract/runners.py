@@ -24,7 +24,7 @@ MAX_WAIT_S = 25
 # The path of a run's whole log among what a runner sends at its end; no artifact can have it.
 LOG_PATH = ".kleinkram/log"
 
-Attempt = Annotated[int, Field(ge=1)]
+Attempt = Annotated[int, Field(ge=1, lt=2**31)]
 
 
 class Isolation(str, enum.Enum):

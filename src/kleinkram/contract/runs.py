@@ -104,7 +104,7 @@ class RunsCreate(BaseModel):
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
     action_id: uuid.UUID | None = None
-    version: Annotated[int, Field(ge=1)] | None = None
+    version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
     definition: ActionDefinition | None = None
     parameters: ParameterValues = {}
     force: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
 import os
 import shutil
@@ -60,10 +61,15 @@ def path_of(program: str) -> str | None:
     return shutil.which(program, path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
 
+# Modules that a worker goes through may each have one at the same time.
+_numbers = itertools.count(77)
+
+
 @contextmanager
 def bridge() -> Iterator[tuple[str, str]]:
     """Make a network for containers that may have one, and yield its interface and this machine's address there."""
-    name, address = f"klein{os.getpid()}", f"10.{os.getpid() % 50 + 200}.77.1"
+    number = next(_numbers)
+    name, address = f"kl{os.getpid()}-{number}", f"10.{os.getpid() % 50 + 200}.{number}.1"
     _ip("link", "add", name, "type", "bridge")
     try:
         _ip("address", "add", f"{address}/24", "dev", name)

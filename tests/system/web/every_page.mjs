@@ -212,7 +212,7 @@ await look(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] 
 await look(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
 await look(page, "actions", { path: "/actions", shows: [texts.action, texts.description] });
 await look(page, "action", { path: `/actions/${ids.action}`, shows: [texts.action, texts.description, texts.value] });
-await look(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form [id]", shows: [mission, texts.description] });
+await look(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form:has(.chosen):has(fieldset.parameters)", shows: [mission, texts.description] });
 await look(page, "runs", { path: "/runs", shows: [texts.action, mission] });
 const ofRun = (query) => `/runs/${ids.run}?${query}`;
 await look(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", shows: [texts.action, mission, texts.notes, texts.value, texts.label] });

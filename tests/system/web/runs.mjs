@@ -98,6 +98,11 @@ await page.goto(`${address}${seen.findingLeadsTo}`);
 await page.locator("[data-lineage]").waitFor();
 seen.lineage = await page.locator("[data-lineage]").innerText();
 await look(page, "file-lineage");
+await page.getByRole("button", { name: "Delete" }).click();
+await page.getByRole("dialog").getByText("Runs made of it").waitFor();
+seen.deletion = await page.getByRole("dialog").innerText();
+await look(page, "file-deletion");
+await page.getByRole("button", { name: "Cancel" }).click();
 
 // Again; on many; and one that is ended.
 await page.goto(run);

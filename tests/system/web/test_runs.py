@@ -15,6 +15,8 @@ _SCRIPT = """\
 # [tool.kleinkram]
 # name = "look <b>closely<b>"
 # description = "Looks <script>alert(1)</script> at every file."
+# inputs = {paths = ["*.mcap"]}
+# right = "CREATE"
 # parameters = [
 #   {name = "top", type = "topic"},
 #   {name = "speed", type = "number", unit = "m/s", minimum = 0, maximum = 10, default = 2.5},
@@ -44,6 +46,7 @@ line = [[8.5, 47.3], [8.501, 47.3], [8.501, 47.301]]
 report.preview("plot.svg", title="A plot")
 report.preview("track.geojson", title="Where it went")
 report.preview("table.csv", title="Numbers")
+report.put_back("table.csv", "derived/<b>table<b>.csv")
 report.propose(robot="anymal <b>3<b>", distance_m=42.5)
 print("the very end", flush=True)
 """
@@ -103,6 +106,7 @@ def _see_what_it_said(seen: dict[str, Any]) -> None:
 
 def _see_where_it_leads(seen: dict[str, Any], terminal: Terminal) -> None:
     assert "Read by look <b>closely<b>" in seen["lineage"]
+    assert "derived/<b>table<b>.csv" in seen["deletion"], "what came of it is told before it is deleted"
     assert seen["again"]["state"] == "done"
     assert seen["many"]["made"] == "2 runs asked for"
     assert len(seen["many"]["runs"]) == 4

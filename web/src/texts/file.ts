@@ -78,6 +78,7 @@ export const texts = {
   moved: (mission: string) => `Moved to ${mission}.`,
   remove: "Delete",
   removeTitle: "Delete this file?",
+  madeOfIt: (paths: readonly string[]) => `Runs made of it, and this stays: ${paths.join(", ")}`,
   removeWhy: "It goes to the trash, from where it can be put back for a while.",
   removed: (path: string) => `${path} is in the trash.`,
   restored: (path: string) => `${path} is back.`,

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query, Request
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.runners import (
     ArtifactsBegin,
+    Attempt,
     BeatAnswers,
     Beats,
     ClaimAsk,
@@ -30,7 +31,7 @@ from kleinkram.server.runners import holding, service
 from kleinkram.server.uploads.artifacts import begin_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
-Attempt = Annotated[int, Query(ge=1)]
+AttemptQuery = Annotated[Attempt, Query()]
 
 
 @router.get("/runners", operation_id="list_runners")
@@ -65,7 +66,7 @@ async def beat(runner_id: uuid.UUID, said: Beats, db: Transaction, actor: Curren
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
-async def get_run_context(run_id: uuid.UUID, attempt: Attempt, db: Transaction, actor: CurrentActor) -> RunContext:
+async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transaction, actor: CurrentActor) -> RunContext:
     """Get what a run is told of itself, its mission and its files."""
     return await holding.get_context(db, actor, run_id=run_id, attempt=attempt)
 

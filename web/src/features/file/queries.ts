@@ -1,5 +1,6 @@
 // What the page of a file asks the server, and what it has it do.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import type { Ref } from "vue";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
@@ -90,4 +91,14 @@ export function useFileChanges(fileId: string) {
     meta: { showsItself: true },
   });
   return { update, prove, remove, restore, old };
+}
+
+/** What runs made of a file, asked for when somebody is about to delete it. */
+export function useMadeOf(fileId: string, isAsked: Readonly<Ref<boolean>>) {
+  return useQuery({
+    queryKey: [...keys.file(fileId), "deletion"],
+    queryFn: () => call(api.DELETE("/api/v1/files/{file_id}", { params: { path: { file_id: fileId }, query: { dry_run: true } } })),
+    select: ({ made_from_it: paths }) => paths,
+    enabled: isAsked,
+  });
 }
