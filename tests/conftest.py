@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.lacking import missing
+
 RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).parents[2] / "shared" / "recordings")
 
 # Run in the background or under nohup, tests would hand on to what they start that these are ignored.
@@ -20,8 +22,5 @@ for _sign in (signal.SIGINT, signal.SIGHUP):
 def recordings_dir() -> Path:
     """The folder of real recordings, with manifest.json; tests that need it are skipped where it is missing."""
     if not (RECORDINGS / "manifest.json").is_file():
-        message = f"no recordings at {RECORDINGS}: set KLEINKRAM_RECORDINGS"
-        if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
-            pytest.fail(message)
-        pytest.skip(message)
+        missing(f"no recordings at {RECORDINGS}: set KLEINKRAM_RECORDINGS")
     return RECORDINGS

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import Terminal
+from tests.lacking import missing
 from tests.system.house import House, environment
 
 
@@ -77,13 +78,6 @@ def _require_ip() -> None:
     if allowed.returncode != 0:
         missing(f"network namespaces are not allowed here: {allowed.stderr.strip()}")
     _ip("netns", "delete", trial)
-
-
-def missing(what: str) -> None:
-    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
-    if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
-        pytest.fail(what)
-    pytest.skip(what)
 
 
 def _ip(*arguments: str) -> None:

@@ -19,7 +19,7 @@ import platformdirs
 import pytest
 
 from kleinkram.standalone.ports import choose_port
-from tests.system.conftest import missing
+from tests.lacking import missing
 
 HERE = Path(__file__).parent / "oidc"
 CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"

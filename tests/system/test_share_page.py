@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.conftest import missing
+from tests.lacking import missing
 from tests.system.house import House
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import end, wait_until
+from tests.lacking import missing
 from tests.system import behind
-from tests.system.conftest import missing
 from tests.system.house import House
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

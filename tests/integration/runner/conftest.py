@@ -18,6 +18,7 @@ from kleinkram.runner.process.executor import ProcessExecutor
 from kleinkram.runner.work import Door, Ending, Executor, Work
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
+from tests.lacking import missing
 
 
 @dataclass
@@ -80,13 +81,6 @@ def log_of(work: Work) -> str:
     """Return what a run wrote."""
     path = work.folder / "log"
     return path.read_text() if path.exists() else ""
-
-
-def missing(what: str) -> None:
-    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
-    if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
-        pytest.fail(what)
-    pytest.skip(what)
 
 
 @pytest.fixture(scope="session")

@@ -19,6 +19,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward, wardens
 from kleinkram.runner.work import GRACE_S, CannotStart, Door
 from tests.integration.runner.conftest import Bench, log_of
+from tests.lacking import missing
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
 
@@ -26,7 +27,7 @@ LASTING = "import time; print('ready', flush=True); time.sleep(60)"
 @pytest.fixture
 def isolated(bench: Bench) -> Bench:
     if bench.executor.abilities.isolation is Isolation.none:
-        pytest.skip("this kernel gives no namespaces to this user")
+        missing("this kernel gives no namespaces to this user")
     return bench
 
 

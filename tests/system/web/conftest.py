@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from kleinkram.server.web.serving import BUILT
-from tests.system.conftest import missing
+from tests.lacking import missing
 from tests.system.house import House
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
