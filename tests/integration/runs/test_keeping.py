@@ -3,12 +3,16 @@
 import threading
 import uuid
 
+from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.events.hub import MOST_STREAMS
 from kleinkram.server.runs.jobs import tend_once
 from kleinkram.server.site import Site
+from tests.integration import people
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
 from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.uploading import wait_until
 
 
 def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:
@@ -119,3 +123,18 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 async def _sweep(site: Site) -> None:
     await tend_once(site)
     await sweep_once(site)
+
+
+def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
+    admin = people.person(lab, admin=True)
+    runner = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
+    runner.hello()
+    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 4}) for _ in range(MOST_STREAMS + 1)]
+    for thread in threads:
+        thread.start()
+    hub = lab.app.state.hub
+    wait_until(lambda: len(hub._listeners) > MOST_STREAMS)
+    mine = lab.as_(people.token(lab, admin).secret)
+    assert mine.get("/events", {"for_s": "0"}).status == 200
+    for thread in threads:
+        thread.join()

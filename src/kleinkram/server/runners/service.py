@@ -95,7 +95,7 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
         NotFound: nobody of this person's is that runner: it must say hello first.
     """
     until = time.monotonic() + asked.wait_s
-    with hub.listening(actor.person_id, after=None) as listener:
+    with hub.listening(None, after=None) as listener:
         while True:
             async with site.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
