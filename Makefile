@@ -40,13 +40,16 @@ demo: setup
 story: setup
 	@$(BIN)/python examples/demo.py --story
 
+# A test that hangs where nothing can interrupt it ends its process, and says where it hung.
 test: setup
-	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile -o faulthandler_timeout=240
 
 test-all: setup
-	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 2 --dist loadfile
+	@$(BIN)/python -m tests.lacking
+	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 2 --dist loadfile -o faulthandler_timeout=1000
 
 soak: setup
+	@$(BIN)/python -m tests.lacking
 	@$(BIN)/python -m pytest -m soak -q --timeout=0
 
 check: setup

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import urllib3
-from tests.integration.runner.engines import IMAGE, Dockerd, missing_programs, python_root
+from tests.integration.runner.engines import IMAGE, PROGRAMS, Dockerd, python_root
+from tests.lacking import path_of
 
 _TIMES = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6")) * 2
 _MANY = int(os.environ.get("KLEINKRAM_BENCH_RUNS", "200"))
@@ -83,7 +84,7 @@ def _lab(url: str, owner_token: str, folder: Path) -> Iterator[_Lab]:
     with ExitStack() as stack:
         pool = stack.enter_context(urllib3.PoolManager(retries=False, timeout=60, maxsize=4))
         docker = None
-        if not missing_programs() and os.getuid() == 0:
+        if all(map(path_of, PROGRAMS)) and os.getuid() == 0:
             # Not below the bench's own folder: the engine leaves mounts there, and a socket's path must be short.
             place = stack.enter_context(tempfile.TemporaryDirectory(prefix="klein-docker-", ignore_cleanup_errors=True))
             docker = Dockerd(Path(place))

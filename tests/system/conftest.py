@@ -1,7 +1,6 @@
 """Another machine, made of a network namespace on this one: its own loopback, its own routes, one cable to us."""
 
 import os
-import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import Terminal
-from tests.lacking import missing
+from tests.lacking import missing, need
 from tests.system.house import House, environment
 
 
@@ -69,10 +68,7 @@ def house(tmp_path: Path) -> Iterator[House]:
 def _require_ip() -> None:
     if os.geteuid() != 0:
         missing("a second machine is made of a network namespace, which only root may make")
-    if shutil.which("ip") is None and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
-        subprocess.run(["apt-get", "install", "-y", "iproute2"], check=True, capture_output=True)
-    if shutil.which("ip") is None:
-        missing("`ip` is not installed (Debian: iproute2): KLEINKRAM_TEST_INSTALL=1 installs it")
+    need("ip")
     trial = f"klein-trial-{os.getpid()}"
     allowed = subprocess.run(["ip", "netns", "add", trial], check=False, capture_output=True, text=True)
     if allowed.returncode != 0:

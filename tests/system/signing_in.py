@@ -3,11 +3,9 @@
 Both come from a folder outside of the repository, made once from the lock file in `tests/system/oidc`.
 """
 
-import hashlib
 import json
 import os
 import secrets
-import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -15,40 +13,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import platformdirs
 import pytest
 
 from kleinkram.standalone.ports import choose_port
-from tests.lacking import missing
+from tests.lacking import need, need_node, path_of
 
-HERE = Path(__file__).parent / "oidc"
 CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-
-
-def _may_install() -> bool:
-    return os.environ.get("KLEINKRAM_TEST_INSTALL") == "1"
 
 
 @pytest.fixture(name="node", scope="session")
 def _node() -> Path:
     """The folder with the programs of `tests/system/oidc` and what they need; skipped, or failed, without Node."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        missing("Node 20 or later is not installed (node, npm)")
-    sources = sorted(path for path in HERE.iterdir() if path.suffix in {".json", ".mjs"} or path.name == ".npmrc")
-    mark = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
-    folder = platformdirs.user_cache_path("kleinkram-tests") / f"oidc-{mark}"
-    if (folder / "ready").exists():
-        return folder
-    if not _may_install():
-        missing("oidc-provider and playwright-core are not installed: KLEINKRAM_TEST_INSTALL=1 installs them")
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for path in sources:
-        shutil.copy(path, folder)
-    subprocess.run(["npm", "ci", "--ignore-scripts"], cwd=folder, check=True, capture_output=True)
-    (folder / "ready").touch()
-    return folder
+    need("node")
+    return need_node()
 
 
 @dataclass
@@ -140,14 +117,9 @@ class Chromium:
 
 @pytest.fixture(name="driver", scope="module")
 def _driver(node: Path) -> Iterator[Chromium]:
-    program = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
-    if program is None and _may_install():
-        subprocess.run(["apt-get", "install", "-y", "--no-install-recommends", "chromium"], check=True)
-        program = shutil.which("chromium")
-    if program is None:
-        missing("Chromium is not installed (Debian: chromium): KLEINKRAM_TEST_INSTALL=1 installs it")
+    need("chromium")
     process = subprocess.Popen(
-        ["node", "drive.mjs", str(program)],
+        ["node", "drive.mjs", str(path_of("chromium"))],
         cwd=node,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -1,25 +1,20 @@
 """The page of a link in a real browser: it shows the link's files, and no text from elsewhere as HTML."""
 
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.lacking import missing
+from tests.lacking import need, path_of
 from tests.system.house import House
-
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 @pytest.fixture
 def browser(tmp_path: Path) -> list[str]:
     """The command line that prints a page as it is once its script has run."""
-    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if found is None:
-        missing("no Chromium is installed")
+    need("chromium")
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
-    return [str(found), *options, f"--user-data-dir={tmp_path / 'profile'}"]
+    return [str(path_of("chromium")), *options, f"--user-data-dir={tmp_path / 'profile'}"]
 
 
 def _seen(browser: list[str], address: str) -> str:

@@ -139,7 +139,7 @@ def test_everything_is_answered_as_described(asked: Asked) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(900)
 def test_much_is_answered_as_described(asked: Asked) -> None:
     wrong = _ask_much(asked, _MANY)
     assert not wrong, "\n\n".join(wrong)

@@ -18,7 +18,7 @@ from kleinkram.runner.process.executor import ProcessExecutor
 from kleinkram.runner.work import Door, Ending, Executor, Work
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
-from tests.lacking import missing
+from tests.lacking import missing, need
 
 
 @dataclass
@@ -88,8 +88,7 @@ def docker() -> Iterator[Dockerd]:
     """A Docker of the tests' own, with an image of this Python."""
     if os.geteuid() != 0:
         missing("a Docker of the tests' own needs root")
-    if wanted := engines.missing_programs():
-        missing(f"not installed: {', '.join(wanted)} (Debian): KLEINKRAM_TEST_INSTALL=1 installs them")
+    need(*engines.PROGRAMS)
     with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as made:
         made.load(engines.IMAGE, root=engines.python_root())
         yield made

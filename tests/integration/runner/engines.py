@@ -7,7 +7,6 @@ import io
 import itertools
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -21,44 +20,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kleinkram.runner.docker.engine import Engine, EngineAway
+from tests.lacking import path_of
 
 IMAGE = "kleinkram.test/python"
-# The tests' own package, not Debian's choice of options: `dockerd` alone, without the system's service.
-_PACKAGES = {
-    "dockerd": "docker.io",
-    "containerd": "docker.io",
-    "docker": "docker.io",
-    "docker-registry": "docker-registry",
-}
+PROGRAMS = ("dockerd", "containerd", "docker", "docker-registry", "ip", "iptables")
 _LEFT_OUT = {"test", "tests", "idlelib", "tkinter", "lib2to3", "ensurepip", "site-packages", "turtledemo", "pydoc_data"}
-
-
-def missing_programs() -> list[str]:
-    """Return what must be installed for these tests; installs it where that is allowed."""
-    wanted = [each for each in _PACKAGES if path_of(each) is None]
-    if wanted and os.environ.get("KLEINKRAM_TEST_INSTALL") == "1":
-        # Nothing of it shall be started: tests have their own.
-        policy = Path("/usr/sbin/policy-rc.d")
-        is_mine = not policy.exists()
-        if is_mine:
-            policy.write_text("#!/bin/sh\nexit 101\n")
-            policy.chmod(0o755)
-        try:
-            packages = sorted({_PACKAGES[each] for each in wanted})
-            subprocess.run(
-                ["apt-get", "install", "-y", "--no-install-recommends", "iptables", *packages],
-                check=True,
-                capture_output=True,
-            )
-        finally:
-            if is_mine:
-                policy.unlink()
-    return [each for each in _PACKAGES if path_of(each) is None]
-
-
-def path_of(program: str) -> str | None:
-    """Return where a program is, also one that is for root alone."""
-    return shutil.which(program, path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
 
 # Modules that a worker goes through may each have one at the same time.

@@ -1,7 +1,6 @@
 """A real browser in front of a real `klein up`, driven by small programs for Node."""
 
 import json
-import shutil
 import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,10 +9,9 @@ from typing import Any
 import pytest
 
 from kleinkram.server.web.serving import BUILT
-from tests.lacking import missing
+from tests.lacking import missing, need, path_of
 from tests.system.house import House
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WEB = Path(__file__).parents[3] / "web"
 OUTPUT = Path(__file__).parents[3] / "output" / "web"
 
@@ -24,9 +22,8 @@ Act = Callable[..., dict[str, Any]]
 @pytest.fixture
 def act() -> Act:
     """Runs a program with the browser; skipped where there is no browser, driver or built app."""
-    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    if found is None or shutil.which("node") is None:
-        missing("no Chromium or no Node is installed")
+    need("chromium", "node")
+    found = path_of("chromium")
     if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
         missing("the web interface is not built: `make setup` builds it")
 
