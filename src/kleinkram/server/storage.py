@@ -143,15 +143,19 @@ class Storage:
 
     async def _listed(self, what: str, question: Question, name: str, marker: tuple[str, str]) -> list[dict[str, str]]:
         """Return all entries of a list; `marker` is how the next page is asked for, and how the last one names it."""
-        found: list[dict[str, str]] = []
+        return [entry async for page in self._pages(what, question, name, marker) for entry in page]
+
+    async def _pages(
+        self, what: str, question: Question, name: str, marker: tuple[str, str]
+    ) -> AsyncIterator[list[dict[str, str]]]:
         asked, told = marker
         at = ""
         while True:
             page = replace(question, query={**question.query, asked: at}) if at else question
             answer = await self._ask(what, page)
-            found += answer.entries(name)
+            yield answer.entries(name)
             if answer.text("IsTruncated") != "true":
-                return found
+                return
             before, at = at, answer.text(told)
             if at in {"", before}:
                 raise StoreUnavailable(reason=f"{what}: it does not say where its list goes on")
@@ -220,10 +224,18 @@ class Storage:
 
     async def sizes(self, prefix: str) -> dict[str, int]:
         """Return the sizes in bytes of all objects whose keys begin with `prefix`."""
+        return {key: size_bytes async for page in self.pages(prefix) for key, size_bytes in page.items()}
+
+    async def pages(self, prefix: str = "") -> AsyncIterator[dict[str, int]]:
+        """Yield the same in portions as the store gives them, by key; at least one, which may be empty.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or stops in the middle.
+        """
         question = Question("GET", query={"list-type": "2", "prefix": prefix})
         marker = ("continuation-token", "NextContinuationToken")
-        entries = await self._listed("list objects", question, "Contents", marker)
-        return {entry["Key"]: int(entry["Size"]) for entry in entries}
+        async for page in self._pages("list objects", question, "Contents", marker):
+            yield {entry["Key"]: int(entry["Size"]) for entry in page}
 
     async def open_multiparts(self, prefix: str) -> list[tuple[str, str]]:
         """Return key and id of the multipart uploads under way whose keys begin with `prefix`."""

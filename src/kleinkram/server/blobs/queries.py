@@ -1,12 +1,14 @@
 """What is asked of blobs."""
 
+import datetime
 import uuid
+from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, exists, func, or_, select, text
+from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal, or_, select, text
 
 from kleinkram.contract.files import BlobState, ContentState
-from kleinkram.server.tables import blob, file, run, run_artifact, run_input
+from kleinkram.server.tables import blob, file, log_segment, run, run_artifact, run_input, upload
 from kleinkram.server.tables.run import ACTIVE
 
 
@@ -40,3 +42,32 @@ def unproven() -> Select[Any]:
     """Return ids of blobs that nobody has proven for ten minutes."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
     return select(blob.c.id).where(blob.c.doomed_at.is_(None), blob.c.state == BlobState.stored.value, late)
+
+
+def proven_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
+    """Return ids of the blobs whose proof is older, the oldest first."""
+    old = (blob.c.state == BlobState.proven.value, blob.c.proven_at < at)
+    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.proven_at)
+
+
+def kept_between(
+    store_id: str, after: str, until: str | None, *, since_before: datetime.datetime, limit: int
+) -> Select[Any]:
+    """Return blobs with keys above `after` up to `until` (None: to the last), by key: what a list of them must show.
+
+    Not those that came at `since_before` or later, which it need not, nor the doomed, which it must not. Keys are
+    compared by their bytes, as stores list them, whatever the database's collation; an index does the same.
+    """
+    kept = select(blob.c.id, blob.c.key, blob.c.size_bytes, blob.c.state)
+    kept = kept.where(blob.c.store_id == store_id, blob.c.doomed_at.is_(None), blob.c.created_at < since_before)
+    kept = kept.where(blob.c.key.op("~>~", is_comparison=True)(after))
+    if until is not None:
+        kept = kept.where(blob.c.key.op("~<=~", is_comparison=True)(until))
+    return kept.order_by(text("blob.key USING ~<~")).limit(limit)
+
+
+def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
+    """Return how many of some keys no row of ours holds."""
+    key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
+    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_segment)]
+    return select(func.count()).select_from(key).where(~or_(*ours))

@@ -13,6 +13,7 @@ from kleinkram.server.tables.person import person, person_email, session, token,
 from kleinkram.server.tables.project import project
 from kleinkram.server.tables.run import log_segment, run, run_artifact, run_finding, run_input, run_metric
 from kleinkram.server.tables.runner import runner
+from kleinkram.server.tables.scrub import scrub
 from kleinkram.server.tables.share import share, share_file
 from kleinkram.server.tables.signing_in import (
     identity,
@@ -58,6 +59,7 @@ __all__ = [
     "run_input",
     "run_metric",
     "runner",
+    "scrub",
     "session",
     "share",
     "share_file",

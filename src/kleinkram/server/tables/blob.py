@@ -37,6 +37,8 @@ blob = Table(
     Column("state", Text, nullable=False, server_default=BlobState.stored.value),
     Column("state_reason", Text),
     Column("proven_at", DateTime(timezone=True)),
+    # Since when it is lost or corrupt.
+    Column("damaged_at", DateTime(timezone=True)),
     Column("uploaded_by_id", Uuid, ForeignKey("person.id"), nullable=False),
     created_at_column(),
     # Set when nothing refers to it any more: from then on it can no longer be linked, and its object goes next.
@@ -66,6 +68,10 @@ blob = Table(
     # Finding a twin: by size before the hash is known, by hash after.
     Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=text("doomed_at IS NULL")),
     Index("ix_blob_unproven", "created_at", postgresql_where=text("state = 'stored' AND doomed_at IS NULL")),
+    # As a store lists them.
+    Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
+    # Whose proof is the oldest.
+    Index("ix_blob_proven_at", "proven_at", postgresql_where=text("state = 'proven' AND doomed_at IS NULL")),
     # The order in which searches show files: the latest first, those without a time last.
     Index("ix_blob_begun", text("coalesce(start_ns, '-9223372036854775808'::bigint)")),
     Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),
