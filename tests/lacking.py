@@ -26,6 +26,7 @@ PROGRAMS = {
     "iptables": "iptables",
     "ip": "iproute2",
     "chromium": "chromium",
+    "debootstrap": "debootstrap",
     "node": "nodejs npm",
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

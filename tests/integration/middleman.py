@@ -8,8 +8,10 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from urllib.parse import parse_qsl, urlsplit
+
+from tests.serving import Server
 
 _OF_ONE_HOP = {"connection", "transfer-encoding", "keep-alive", "expect"}
 
@@ -138,8 +140,7 @@ def standing_before(store: str) -> Iterator[Middleman]:
         def log_request(self, code: object = "-", size: object = "-") -> None:
             """Say nothing of it."""
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        server.daemon_threads = True
+    with Server(("127.0.0.1", 0), Handler) as server:
         middleman = Middleman(f"http://127.0.0.1:{server.server_port}", store)
         thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="middleman")
         thread.start()

@@ -18,6 +18,7 @@ from kleinkram.server.signing import Presigner
 from kleinkram.server.storage import Storage, open_storage
 from tests.certificate import make_certificate
 from tests.integration.running import Api
+from tests.serving import Server
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def _store(answers: list[Said], certificate: tuple[Path, Path] | None = None) ->
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  (the name it has in the base class)
             """Say nothing."""
 
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Scripted) as server:
+    with Server(("127.0.0.1", 0), Scripted) as server:
         if certificate is not None:
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
             context.load_cert_chain(*certificate)

@@ -51,6 +51,17 @@ def open_multiparts(house: House) -> list[tuple[str, str]]:
     return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
 
 
+def held_bytes(house: House) -> int:
+    """Return how many bytes its store holds, also of parts that are no objects yet."""
+
+    async def weigh(site: Site) -> int:
+        parts = [await site.storage.held_parts(*each) or [] for each in await site.storage.open_multiparts("")]
+        objects = await site.storage.sizes("")
+        return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
+
+    return _on_site(house, weigh)
+
+
 def _on_site(house: House, work: Callable[[Site], Awaitable[T]]) -> T:
     secrets = load_secrets(DataDir(house.data_dir))
     settings = Settings(

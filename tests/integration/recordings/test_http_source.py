@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import pytest
@@ -25,6 +25,7 @@ from kleinkram.recordings import (
 from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sample import generate_bag, generate_mcap
+from tests.serving import Server
 
 DATA = bytes(range(256)) * 40
 SECRET = "X-Amz-Signature=hunter2"
@@ -86,7 +87,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
         def log_message(self, *_: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server = Server(("127.0.0.1", 0), Handler)
     state.port = server.server_port
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()

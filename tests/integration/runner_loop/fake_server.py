@@ -12,7 +12,7 @@ import time
 import uuid
 from collections import Counter
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 from pydantic import BaseModel
@@ -68,6 +68,7 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from tests.integration.runner_loop.context import LATER, a_mission
+from tests.serving import Server
 
 RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
 RUNNER_TOKEN = "klein_runner_" + "r" * 43 + "012345"
@@ -124,8 +125,7 @@ class FakeServer:
         class Handler(_Handler):
             fake = server
 
-        self._http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._http.daemon_threads = True
+        self._http = Server(("127.0.0.1", 0), Handler)
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         self._thread.start()
 

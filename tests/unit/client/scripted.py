@@ -5,12 +5,13 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 from pydantic import BaseModel
 
 from kleinkram.contract.errors import KleinkramError, to_problem
+from tests.serving import Server
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def scripted(
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Speaker)
+    server = Server(("127.0.0.1", 0), Speaker)
     script.url = f"http://127.0.0.1:{server.server_address[1]}"
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()

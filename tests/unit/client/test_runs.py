@@ -6,7 +6,7 @@ import threading
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,7 @@ from kleinkram.contract.runs import (
     RunsMade,
     RunState,
 )
+from tests.serving import Server
 from tests.unit.client.nouns import NOW, action_read, run_detail
 from tests.unit.client.scripted import Scripted, scripted
 
@@ -126,7 +127,7 @@ def store_of(content: bytes) -> Iterator[str]:
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Speaker)
+    server = Server(("127.0.0.1", 0), Speaker)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
     try:

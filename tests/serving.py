@@ -1,0 +1,16 @@
+"""An HTTP server for tests that takes no notice of clients that go away, which they do on purpose."""
+
+import sys
+from http.server import ThreadingHTTPServer
+from typing import Any
+
+
+class Server(ThreadingHTTPServer):
+    """One thread a connection, none of which anybody waits for."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Tell what a handler died of, but for a connection that the client has cut."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
