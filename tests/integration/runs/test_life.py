@@ -129,9 +129,14 @@ def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Play
     claim = runner.claim()
     runner.beat(claim, image_digest="sha256:stock")
     runner.leave(claim, "made", b"made")
-    runner.finish(claim).ok()
+    runner.finish(claim, report={"previews": [{"path": "made", "title": "Made"}], "metadata": {"robot": "spot"}}).ok()
     second = launch(lab, runner, place.mission, force=False)
     assert (second["state"], second["reuses_id"]) == ("done", first["id"])
+    assert second["artifact_count"] == 1
+    shown = [lab.get(f"/runs/{each['id']}").ok() for each in (first, second)]
+    for said in ("previews", "metadata", "problems", "finding_counts", "metric_count"):
+        assert shown[0][said] == shown[1][said]
+    assert shown[1]["previews"] != []
     assert [each["path"] for each in lab.all(f"/runs/{second['id']}/artifacts")] == ["made"]
     changed = {"parameters": [{"name": "rate", "type": "number", "default": 1.0}]}
     assert launch(lab, runner, place.mission, force=False, **changed)["state"] == "queued"

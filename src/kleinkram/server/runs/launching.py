@@ -43,6 +43,8 @@ from kleinkram.server.runs import reading
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
 
+# What a run says of its results, and a run that reuses them says too.
+_SAID = ("problems", "proposed", "previews", "artifact_count", "metric_count", "finding_counts")
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # What a runner puts into `/in` itself; no input can stand there.
 _RESERVED = {CONTEXT_FILE, ".kleinkram"}
@@ -240,6 +242,7 @@ def _reusing(earlier: Row[Any]) -> dict[str, Any]:
         "image_digest": earlier.image_digest,
         "reuses_id": earlier.id,
         "ended_at": func.now(),
+        **{key: earlier._mapping[key] for key in _SAID},
     }
 
 
