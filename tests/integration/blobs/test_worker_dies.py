@@ -22,7 +22,7 @@ from tests.integration.uploading import upload, wait_until
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: Any) -> Api:
-    # One second for each of four pieces: long enough to die in the middle of proving.
+    # Slow: long enough to die in the middle of proving.
     api: Api = start_api(proving_bytes_per_s=1_048_576)
     return api
 
@@ -50,13 +50,14 @@ def _worker(settings: Settings, **changes: str) -> Iterator["subprocess.Popen[by
 
 def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path) -> None:
     """In the middle of proving a recording, while a child scans along."""
-    truth = generate_mcap(tmp_path / "run.mcap", size_bytes=4 << 20, seed=21)
+    truth = generate_mcap(tmp_path / "run.mcap", size_bytes=16 << 20, seed=21)
     mission_id = api.mission(api.project()["id"])["id"]
     file = upload(api, mission_id, "run.mcap", truth.path.read_bytes())
     settings: Settings = api.app.state.settings
     doing = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'doing'"
     with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1048576") as worker:
-        wait_until(lambda: api.sql(doing) == [(1,)] and api.get(f"/files/{file['id']}").ok()["depth"] == "summary")
+        begun = lambda: api.sql(doing) == [(1,)] and api.get(f"/files/{file['id']}").ok()["depth"] == "summary"  # noqa: E731
+        wait_until(begun, limit_s=60)
         readers = psutil.Process(worker.pid).children()
         worker.kill()
         worker.wait(10)
