@@ -50,6 +50,8 @@ def starting(
                     "s3_secret_key": store.secret_key,
                     # Tests ask faster than people; those of limits set them.
                     **dict.fromkeys(_LIMITS, 0),
+                    # Many have blobs that no store has.
+                    "scrub_hours": 0,
                     **settings,
                 }
                 folder: Path = tmp_path_factory.mktemp("api")

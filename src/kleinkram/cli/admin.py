@@ -5,8 +5,10 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import details, moment, note, show_json, table
+from kleinkram.cli.scrub_view import follow, is_damaged, is_stopped, show_scrub
 from kleinkram.cli.units import size
 
 app = typer.Typer(
@@ -73,6 +75,26 @@ def retry(
     if as_json:
         show_json({"retried": job})
     note(f"Job {job} is in the queue again.")
+
+
+@app.command("scrub")
+def scrub(
+    last: Annotated[bool, typer.Option("--last", help="Only show the last one, and begin none.")] = False,
+    wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Whether to wait for its end.")] = True,
+    timeout: Annotated[float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait.")] = 3600.0,
+    believe: Annotated[
+        bool, typer.Option("--believe", help="Mark as lost whatever is missing, however much. Look first.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare what the store lists with the database: what vanished, was cut off, or came back."""
+    with connect() as client:
+        if not last:
+            client.admin.begin_scrub(believe=believe)
+        told = follow(client.admin.watch_scrub(timeout_s=timeout)) if wait and not last else client.admin.scrub()
+    show_json(told) if as_json else show_scrub(told)
+    if not last and (is_stopped(told) or is_damaged(told)):
+        raise typer.Exit(ExitCode.server_failed if is_stopped(told) else ExitCode.bytes_differ)
 
 
 @app.command("health")

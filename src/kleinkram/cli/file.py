@@ -193,6 +193,7 @@ def _show(file: FileRead) -> None:
             ("id", file.id),
             ("size", f"{size(file.size_bytes)} ({file.size_bytes} bytes)"),
             ("bytes", file.state.value + (f": {file.state_reason}" if file.state_reason else "")),
+            ("damaged", file.damaged_at),
             ("content", file.content.value + (f": {file.content_reason}" if file.content_reason else "")),
             ("read by", file.depth and _DEPTHS[file.depth]),
             ("lost", file.lost and _loss(file.lost)),

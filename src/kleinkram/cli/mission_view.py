@@ -5,8 +5,10 @@ from collections.abc import Iterable, Mapping
 from kleinkram.cli.render import details, line, show_json, table
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
-from kleinkram.contract.files import FileFilter, FileRead, RecordingRead, TopicRead
+from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionRead
+
+_DAMAGED = {BlobState.lost, BlobState.corrupt}
 
 
 def show_mission(mission: MissionRead) -> None:
@@ -48,10 +50,22 @@ def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
         line("")
         line("Files")
         show_files(files)
+        _show_damage(files)
     if topics:
         line("")
         line("Topics")
         show_topics(topics, {str(file.id): file.path for file in files})
+
+
+def _show_damage(files: Iterable[FileRead]) -> None:
+    damaged = [file for file in files if file.state in _DAMAGED]
+    if damaged:
+        line("")
+        line("Not what was uploaded: upload these again to mend them")
+        table(
+            ["path", "bytes", "since", "what differs"],
+            [(file.path, file.state.value, file.damaged_at, file.state_reason) for file in damaged],
+        )
 
 
 def show_missions(missions: Iterable[MissionRead]) -> None:

@@ -8,7 +8,7 @@ from kleinkram import connect
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import Choice, Many, select_files
 from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, the_ref
-from kleinkram.cli.render import note, show_json, table
+from kleinkram.cli.render import moment, note, show_json, table
 from kleinkram.cli.transfer_view import say_left_out
 from kleinkram.cli.units import size
 from kleinkram.client import Client
@@ -36,6 +36,7 @@ def verify(
         show_json({"items": [_plain(one) for one in found]})
     else:
         table(["verdict", "path", "size"], [(one.verdict.value, one.path, size(one.size_bytes)) for one in found])
+        _say_damage(found)
     odd = sum(one.verdict is not Verdict.same for one in found)
     note(f"{len(found) - odd} of {len(found)} files are the same.")
     if odd:
@@ -64,6 +65,13 @@ def _remote(
     return verify_remote(client.files, files, timeout_s=timeout_s)
 
 
+def _say_damage(found: list[Verified]) -> None:
+    for one in found:
+        if one.file is not None and one.file.damaged_at is not None:
+            reason, since = one.file.state_reason, moment(one.file.damaged_at)
+            note(f"{one.path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
+
+
 def _plain(one: Verified) -> dict[str, object]:
     state = one.file.state.value if one.file else None
     reason = one.file.state_reason if one.file else None
@@ -75,4 +83,5 @@ def _plain(one: Verified) -> dict[str, object]:
         "file_id": str(one.file.id) if one.file else None,
         "state": state,
         "state_reason": reason,
+        "damaged_at": one.file.damaged_at.isoformat() if one.file and one.file.damaged_at else None,
     }

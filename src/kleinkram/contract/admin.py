@@ -1,6 +1,7 @@
 """What admins see of the whole server: its store, its jobs, its health, its settings."""
 
 import datetime
+import uuid
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -77,6 +78,47 @@ class AdminHealth(_Told):
     store_checksum: str
     store_writes_once: bool
     store_takes_pages: bool
+
+
+class ScrubRequest(_Told):
+    """A scrub to be asked for. `believe`: whoever asks has looked, and objects that are missing are gone indeed."""
+
+    believe: bool = False
+
+
+class ScrubRead(_Told):
+    """One comparison of what the store lists with what the database knows of it.
+
+    `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
+    proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+    Until it has `ended_at`, all this is of what it has compared so far.
+    """
+
+    id: uuid.UUID
+    created_at: datetime.datetime
+    started_at: datetime.datetime | None
+    seen_at: datetime.datetime
+    ended_at: datetime.datetime | None
+    stopped: str | None
+    compared: int
+    compared_bytes: int
+    lost: int
+    corrupt: int
+    found: int
+    unknown: int
+
+
+class ScrubState(_Told):
+    """The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
+
+    `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+    """
+
+    last: ScrubRead | None
+    every_hours: float
+    again_after_days: int
+    oldest_proof_at: datetime.datetime | None
+    blobs: list[StateAmount]
 
 
 class SettingRead(_Told):

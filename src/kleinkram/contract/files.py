@@ -75,6 +75,7 @@ class FileRead(BaseModel):
 
     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
+    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -98,6 +99,7 @@ class FileRead(BaseModel):
     origin: str
     uploaded_by: PersonRef
     created_at: datetime.datetime
+    damaged_at: datetime.datetime | None = None
     message_count: int | None
     start_ns: int | None
     end_ns: int | None

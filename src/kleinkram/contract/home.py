@@ -39,7 +39,7 @@ class UnfinishedUpload(_Told):
 
 
 class Need(str, enum.Enum):
-    """What needs somebody. The last three are of the whole server, and for admins."""
+    """What needs somebody. The last four are of the whole server, and for admins."""
 
     files_corrupt = "files_corrupt"
     files_lost = "files_lost"
@@ -47,6 +47,7 @@ class Need(str, enum.Enum):
     files_unread = "files_unread"
     files_recovered = "files_recovered"
     metadata_missing = "metadata_missing"
+    scrub_stopped = "scrub_stopped"
     proofs_late = "proofs_late"
     jobs_failed = "jobs_failed"
     disk_low = "disk_low"

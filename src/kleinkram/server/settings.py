@@ -236,6 +236,15 @@ class Settings(BaseSettings):
     proving_bytes_per_s: Annotated[
         int, Field(ge=1_048_576, description="Rate limit of the job that reads new blobs to prove them.")
     ] = 100_000_000
+    prove_again_days: Annotated[
+        int, Field(ge=0, description="After how many days a proven blob is read and compared again; 0: never.")
+    ] = 90
+    scrub_hours: Annotated[
+        float,
+        Field(
+            ge=0, description="How often the store's list is compared with the database, in hours; 0: only when asked."
+        ),
+    ] = 24
     summary_memory_bytes: Annotated[
         int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
     ] = 1024**3

@@ -106,6 +106,7 @@ def test_settings_in_force_hold_no_secret(lab: Api) -> None:
 
 def test_it_is_for_admins(lab: Api) -> None:
     member = lab.as_(people.person(lab).token)
-    for page in ("storage", "jobs", "health", "settings"):
+    for page in ("storage", "jobs", "scrub", "health", "settings"):
         member.get(f"/admin/{page}").refused(403, "forbidden")
     member.post("/admin/jobs/1/retry").refused(403, "forbidden")
+    member.post("/admin/scrub", {}).refused(403, "forbidden")

@@ -133,6 +133,30 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/admin/scrub": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Scrub
+         * @description Say what the last comparison of the store with the database found.
+         */
+        get: operations["get_admin_scrub"];
+        put?: never;
+        /**
+         * Begin Scrub
+         * @description Have the store's list compared with the database now.
+         */
+        post: operations["begin_scrub"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/settings": {
         parameters: {
             query?: never;
@@ -3432,6 +3456,7 @@ export interface components {
          *
          *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
+         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed.
          */
         FileRead: {
             /** Compression */
@@ -3446,6 +3471,8 @@ export interface components {
              * Format: date-time
              */
             created_at: string;
+            /** Damaged At */
+            damaged_at?: string | null;
             depth: components["schemas"]["ReadDepth"] | null;
             /** End Ns */
             end_ns: number | null;
@@ -4312,10 +4339,10 @@ export interface components {
         };
         /**
          * Need
-         * @description What needs somebody. The last three are of the whole server, and for admins.
+         * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
@@ -5494,6 +5521,77 @@ export interface components {
          * @enum {string}
          */
         Scope: "read" | "upload" | "write" | "run" | "admin";
+        /**
+         * ScrubRead
+         * @description One comparison of what the store lists with what the database knows of it.
+         *
+         *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
+         *     proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+         *     Until it has `ended_at`, all this is of what it has compared so far.
+         */
+        ScrubRead: {
+            /** Compared */
+            compared: number;
+            /** Compared Bytes */
+            compared_bytes: number;
+            /** Corrupt */
+            corrupt: number;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            /** Ended At */
+            ended_at: string | null;
+            /** Found */
+            found: number;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Lost */
+            lost: number;
+            /**
+             * Seen At
+             * Format: date-time
+             */
+            seen_at: string;
+            /** Started At */
+            started_at: string | null;
+            /** Stopped */
+            stopped: string | null;
+            /** Unknown */
+            unknown: number;
+        };
+        /**
+         * ScrubRequest
+         * @description A scrub to be asked for. `believe`: whoever asks has looked, and objects that are missing are gone indeed.
+         */
+        ScrubRequest: {
+            /**
+             * Believe
+             * @default false
+             */
+            believe: boolean;
+        };
+        /**
+         * ScrubState
+         * @description The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
+         *
+         *     `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+         */
+        ScrubState: {
+            /** Again After Days */
+            again_after_days: number;
+            /** Blobs */
+            blobs: components["schemas"]["StateAmount"][];
+            /** Every Hours */
+            every_hours: number;
+            last: components["schemas"]["ScrubRead"] | null;
+            /** Oldest Proof At */
+            oldest_proof_at: string | null;
+        };
         /**
          * SearchRead
          * @description What a query finds: the first of the missions, files and topics, with how many there are.
@@ -6913,6 +7011,140 @@ export interface operations {
             };
             /** @description A failure, by its code: not_found. */
             404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_scrub: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ScrubState"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    begin_scrub: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ScrubRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ScrubRead"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };

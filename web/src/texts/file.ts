@@ -32,6 +32,7 @@ export const texts = {
     corrupt: "The bytes in the store are not those that came in. Upload the file again if somebody has it.",
   },
   provenAt: "Proven",
+  damagedAt: "known since",
   never: "never",
   prove: "Prove now",
   proveWhy: "Have the server read every byte again and compare",

@@ -11,6 +11,7 @@ const needs: Readonly<Record<Need, (count: number) => string>> = {
   files_unread: (count) => `${counted(count, "file")} could not be read`,
   files_recovered: (count) => `${counted(count, "file")} damaged or never closed`,
   metadata_missing: (count) => `${counted(count, "value")} of metadata missing or wrong`,
+  scrub_stopped: () => "The store looks like another one: nothing was compared with it",
   proofs_late: (count) => `${counted(count, "file")} not proven in time`,
   jobs_failed: (count) => `${counted(count, "job")} failed`,
   disk_low: () => "The store’s disk is almost full",

@@ -217,6 +217,8 @@ OPERATIONS: dict[str, Need] = {
     "get_admin_storage": Need(On.server, None, _ADMIN),
     "get_admin_jobs": Need(On.server, None, _ADMIN),
     "retry_job": Need(On.server, None, _ADMIN),
+    "get_admin_scrub": Need(On.server, None, _ADMIN),
+    "begin_scrub": Need(On.server, None, _ADMIN),
     "get_admin_health": Need(On.server, None, _ADMIN),
     "get_admin_settings": Need(On.server, None, _ADMIN),
     "get_service": Need(On.nothing, None, _ANY, guests=True, runners=True),

@@ -4,7 +4,15 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
 
-from kleinkram.contract.admin import AdminHealth, AdminJobs, AdminSettings, AdminStorage
+from kleinkram.contract.admin import (
+    AdminHealth,
+    AdminJobs,
+    AdminSettings,
+    AdminStorage,
+    ScrubRead,
+    ScrubRequest,
+    ScrubState,
+)
 from kleinkram.server.admin import service
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, CurrentSite, Transaction
 
@@ -28,6 +36,20 @@ async def get_admin_jobs(db: Transaction) -> AdminJobs:
 async def retry_job(job_id: JobId, db: Transaction, actor: CurrentActor) -> None:
     """Put a job that was given up back into the queue."""
     await service.retry_job(db, actor, job_id)
+
+
+@router.get("/scrub", operation_id="get_admin_scrub")
+async def get_admin_scrub(db: Transaction, settings: CurrentSettings) -> ScrubState:
+    """Say what the last comparison of the store with the database found."""
+    return await service.get_scrub(db, settings)
+
+
+@router.post("/scrub", operation_id="begin_scrub", status_code=202)
+async def begin_scrub(
+    wanted: ScrubRequest, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> ScrubRead:
+    """Have the store's list compared with the database now."""
+    return await service.begin_scrub(db, actor, settings, believe=wanted.believe)
 
 
 @router.get("/health", operation_id="get_admin_health")

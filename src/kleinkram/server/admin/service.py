@@ -14,13 +14,17 @@ from kleinkram.contract.admin import (
     AdminStorage,
     FailedJob,
     JobAmount,
+    ScrubRead,
+    ScrubState,
     SettingRead,
     StateAmount,
 )
-from kleinkram.contract.errors import NotFound
+from kleinkram.contract.errors import NotAuthenticated, NotFound
+from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
+from kleinkram.server.blobs.scrubs import ask_for_scrub, last_scrub
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import missing
 from kleinkram.server.home.service import is_low, store_use
@@ -68,6 +72,29 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
     await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
 
 
+async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
+    """Return the last scrub, and how the blobs are."""
+    last = await last_scrub(db, settings.store_id)
+    rows = (await db.execute(queries.blobs_by_state())).all()
+    return ScrubState(
+        last=None if last is None else _scrub(last),
+        every_hours=settings.scrub_hours,
+        again_after_days=settings.prove_again_days,
+        oldest_proof_at=(await db.execute(queries.oldest_proof())).scalar_one(),
+        blobs=[_amount(row.state, row) for row in rows],
+    )
+
+
+async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
+    """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
+    if actor.person_id is None:
+        raise NotAuthenticated(reason="a scrub is asked for by somebody")
+    row = await ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
+    after: Metadata = {"believe": believe}
+    await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
+    return _scrub(row)
+
+
 async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
     """Return how the server is; asks the store without holding a connection."""
     not_ready = await missing(site.database, site.storage)
@@ -104,6 +131,10 @@ def get_settings(settings: Settings) -> AdminSettings:
             for name in sorted(said)
         ]
     )
+
+
+def _scrub(row: Row[Any]) -> ScrubRead:
+    return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
 
 
 def _is_secret(settings: Settings, name: str) -> bool:

@@ -20,12 +20,13 @@ from kleinkram.recordings import (
     request_bytes,
     stream_request_bytes,
 )
-from kleinkram.server.blobs import service
+from kleinkram.server.blobs import scrubs, service
 from kleinkram.server.blobs.proving import Found, read_through
 from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.scrubbing import scrub_store
 from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
-from kleinkram.server.jobs.queue import Job, hasten, queue
+from kleinkram.server.jobs.queue import Job, Urgency, hasten, queue
 from kleinkram.server.jobs.retention import forget_ended
 from kleinkram.server.rates import forget_counts
 from kleinkram.server.recordings.service import regroup_forgotten
@@ -34,6 +35,8 @@ from kleinkram.server.trash.emptying import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 _SWEEP_BATCH = 1000
+# So many old proofs are put into the queue at a time.
+_OLD_PROOFS = 500
 # A recording without an index must be read whole. Up to here that happens at once; the proof reads all of it anyway.
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
 # Slower than any machine that we know reads the slowest format.
@@ -98,7 +101,9 @@ async def prove_blob(context: JobContext, ref: str) -> None:
         row = await service.get_blob(db, blob_id)
     if row is None or row.store_id != site.settings.store_id:
         return
-    await courtesy_of(context).give_way(PROOF_PATIENCE_S, since=row.created_at)
+    # What is only proven anew gives way from now on, whenever it came.
+    anew = context.job.priority < Urgency.whenever
+    await courtesy_of(context).give_way(PROOF_PATIENCE_S, since=None if anew else row.created_at)
     try:
         found, scan = await _read(site, given(context, "readers", Readers), row)
     except FileNotFoundError:
@@ -170,6 +175,10 @@ async def sweep_once(site: Site) -> None:
         await service.examine_forgotten(db, store_id=site.settings.store_id, limit=_SWEEP_BATCH)
         await regroup_forgotten(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
+        days = site.settings.prove_again_days
+        await service.examine_old(db, store_id=site.settings.store_id, older_than_days=days, limit=_OLD_PROOFS)
+        await scrubs.begin_due_scrub(db, site.settings)
+    async with site.database.begin() as db:
         await forget_ended(db)
         await forget_counts(db)
         await empty_trash(db, older_than_days=site.settings.trash_days, limit=_SWEEP_BATCH)
@@ -183,3 +192,17 @@ async def sweep_once(site: Site) -> None:
         await site.storage.delete(row.key)
         async with site.database.begin() as db:
             await service.forget_blob(db, row.id)
+
+
+@queue.task(name=Job.scrub.value, retry=PATIENTLY, pass_context=True)
+async def scrub(context: JobContext, ref: str) -> None:
+    """Compare what the store lists with what the database knows."""
+    site, scrub_id = site_of(context), uuid.UUID(ref)
+    try:
+        await scrub_store(site, scrub_id)
+    except StoreUnavailable as error:
+        if context.job.attempts < ATTEMPTS - 1:
+            raise
+        async with site.database.begin() as db:
+            stopped = f"The scrub came to no end: {error.sentence()}"
+            await scrubs.end(db, scrub_id, scrubs.Tally(), stopped=stopped)

@@ -44,6 +44,12 @@ def unproven() -> Select[Any]:
     return select(blob.c.id).where(blob.c.doomed_at.is_(None), blob.c.state == BlobState.stored.value, late)
 
 
+# How many old proofs wait to be made anew.
+WAITING_AT_LEISURE = text(
+    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'todo' AND priority < 0"
+)
+
+
 def proven_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
     """Return ids of the blobs whose proof is older, the oldest first."""
     old = (blob.c.state == BlobState.proven.value, blob.c.proven_at < at)
@@ -70,4 +76,4 @@ def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
     """Return how many of some keys no row of ours holds."""
     key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
     ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_segment)]
-    return select(func.count()).select_from(key).where(~or_(*ours))
+    return select(func.count(key)).where(~or_(*ours))

@@ -13,14 +13,15 @@ from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary
 from kleinkram.recordings.density import pack
+from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, hasten
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.tables import blob, file, topic
+from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
 
@@ -47,13 +48,28 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
         await enqueue(db, job, ids=ids, urgency=Urgency.whenever)
 
 
+async def examine_old(db: Connection, *, store_id: str, older_than_days: int, limit: int) -> None:
+    """See to it that blobs whose proof is older are read again, the oldest first, when nothing else is to be proven.
+
+    At most `limit` wait for it at a time.
+    """
+    room = limit - (await db.execute(queries.WAITING_AT_LEISURE)).scalar_one()
+    if older_than_days == 0 or room <= 0:
+        return
+    old = queries.proven_before(func.now() - datetime.timedelta(days=older_than_days))
+    due = old.where(blob.c.store_id == store_id, ~has_job(Job.prove_blob, blob.c.id)).limit(room)
+    ids = [str(each) for each in (await db.execute(due)).scalars()]
+    await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.at_leisure)
+
+
 async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
     """See to it that a blob is read and compared with its checksums once more, ahead of routine proving.
 
-    Asking again while a job for it waits changes nothing.
+    Asking again while a job for it waits only hastens that.
     """
     waiting = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.prove_blob, blob.c.id))
     if (await db.execute(waiting)).first() is not None:
+        await hasten(db, Job.prove_blob, blob_id)
         return
     await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
 
@@ -148,16 +164,50 @@ async def _missions_of(db: Connection, blob_id: uuid.UUID) -> list[uuid.UUID]:
 
 
 async def keep_proof(db: Connection, blob_id: uuid.UUID, *, md5: bytes) -> None:
-    """Keep that the server itself has read a blob and found its SHA-256."""
-    values = {"state": BlobState.proven.value, "state_reason": None, "md5": md5, "proven_at": func.now()}
-    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
+    """Keep that the server itself has read a blob and found its SHA-256. One that was lost or corrupt is so no more."""
+    healed = await _damaged_before(db, blob_id)
+    values = {"state": BlobState.proven.value, "state_reason": None, "damaged_at": None, "md5": md5}
+    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values, proven_at=func.now()))
+    if healed is not None:
+        await _record_of_files(db, blob_id, "file.heal", {"state": healed}, {"state": BlobState.proven.value})
     await _tell_of_files(db, blob_id)
 
 
-async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> None:
-    """Keep that a blob is lost or corrupt, and how that showed."""
-    await db.execute(update(blob).where(blob.c.id == blob_id).values(state=state.value, state_reason=reason))
+async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> bool:
+    """Keep that a blob is lost or corrupt, and how that showed; return whether that is news.
+
+    Nothing is kept of a blob that is about to go: its object may be gone already.
+    """
+    before = await _damaged_before(db, blob_id)
+    said = {"state": state.value, "state_reason": reason}
+    values = {**said, "damaged_at": func.coalesce(blob.c.damaged_at, func.now())}
+    marked = update(blob).where(blob.c.id == blob_id, blob.c.doomed_at.is_(None)).values(**values)
+    if (await db.execute(marked)).rowcount == 0 or before == state.value:
+        return False
+    await _record_of_files(db, blob_id, "file.damage", {}, {"state": state.value, "reason": reason})
     await _tell_of_files(db, blob_id)
+    return True
+
+
+async def _damaged_before(db: Connection, blob_id: uuid.UUID) -> str | None:
+    damaged = blob.c.state.in_((BlobState.lost.value, BlobState.corrupt.value))
+    found: str | None = (
+        await db.execute(select(blob.c.state).where(blob.c.id == blob_id, damaged).with_for_update())
+    ).scalar_one_or_none()
+    return found
+
+
+async def _record_of_files(
+    db: Connection, blob_id: uuid.UUID, operation: str, before: dict[str, str], after: dict[str, str]
+) -> None:
+    """Add to the record what became of each file that a blob makes, out of the trash."""
+    columns = (file.c.id, file.c.path, file.c.mission_id, mission.c.project_id)
+    made_of = select(*columns).join_from(file, mission).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None))
+    events = [
+        Event(operation, "file", row.id, row.path, row.project_id, {**before}, {**after}, row.mission_id)
+        for row in await db.execute(made_of)
+    ]
+    await record_all(db, None, events)
 
 
 async def doom_unreferenced(db: Connection, *, limit: int) -> int:

@@ -7,7 +7,7 @@ from sqlalchemy import Select, func, select, text, union
 from kleinkram.contract.files import BlobState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
-from kleinkram.server.tables import blob, file, mission, project, upload
+from kleinkram.server.tables import blob, file, mission, project, scrub, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
 
@@ -113,6 +113,13 @@ def late_proofs() -> Select[Any]:
     """Return how many files' bytes should have been proven by now."""
     late = (blob.c.state == BlobState.stored.value, blob.c.doomed_at.is_(None))
     return select(func.count()).select_from(blob).where(*late, blob.c.created_at < func.now() - _PROOF_PATIENCE)
+
+
+def stopped_scrubs(store_id: str) -> Select[Any]:
+    """Return whether the last comparison of the store with the database that ended did not go through: 1, or 0."""
+    ended = select(scrub.c.stopped).where(scrub.c.store_id == store_id, scrub.c.ended_at.is_not(None))
+    last = ended.order_by(scrub.c.created_at.desc()).limit(1).subquery()
+    return select(func.count(last.c.stopped))
 
 
 def failed_jobs() -> Select[Any]:

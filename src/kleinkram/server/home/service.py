@@ -98,7 +98,13 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
 async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     failed = (await db.execute(queries.failed_jobs())).scalar_one()
     late = (await db.execute(queries.late_proofs())).scalar_one()
-    counts = {Need.disk_low: int(is_low(settings)), Need.jobs_failed: failed, Need.proofs_late: late}
+    stopped = (await db.execute(queries.stopped_scrubs(settings.store_id))).scalar_one()
+    counts = {
+        Need.scrub_stopped: stopped,
+        Need.disk_low: int(is_low(settings)),
+        Need.jobs_failed: failed,
+        Need.proofs_late: late,
+    }
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 
 

@@ -20,11 +20,13 @@ class Job(str, enum.Enum):
     finish_uploads = "finish_uploads"
     tend_runs = "tend_runs"
     sweep = "sweep"
+    scrub = "scrub"
 
 
 class Urgency(enum.IntEnum):
-    """What a person waits for goes before what only has to happen."""
+    """What a person waits for goes before what only has to happen, and that before what could as well be later."""
 
+    at_leisure = -10
     whenever = 0
     soon = 10
 

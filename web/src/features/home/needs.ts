@@ -12,6 +12,7 @@ export const needTones: Readonly<Record<Need, Tone>> = {
   files_unread: "attention",
   files_recovered: "attention",
   metadata_missing: "attention",
+  scrub_stopped: "bad",
   proofs_late: "attention",
   jobs_failed: "bad",
   disk_low: "bad",
