@@ -1,7 +1,7 @@
 """Alembic's entry: one connection, one transaction, one migrator at a time."""
 
 from alembic import context
-from sqlalchemy import ForeignKeyConstraint, create_engine, pool, text
+from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
 from kleinkram.server.tables import metadata
 
@@ -15,12 +15,20 @@ def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compar
     return not (about or "").startswith(("procrastinate", "idx_procrastinate"))
 
 
-engine = create_engine(context.config.attributes["url"], poolclass=pool.NullPool)
-with engine.connect() as connection:
+def _migrate(connection: Connection) -> None:
     context.configure(
         connection=connection, target_metadata=metadata, include_object=_ours, compare_server_default=True
     )
     with context.begin_transaction():
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
         context.run_migrations()
-engine.dispose()
+
+
+given = context.config.attributes.get("connection")
+if given is not None:  # a caller's own, in whose transaction it happens
+    _migrate(given)
+else:
+    engine = create_engine(context.config.attributes["url"], poolclass=pool.NullPool)
+    with engine.connect() as own:
+        _migrate(own)
+    engine.dispose()

@@ -1,0 +1,102 @@
+"""Who is at work in a repository: many may read and add at once, who removes is alone.
+
+In a folder the kernel keeps the lock, and gives it back however its holder ends. In a bucket everybody leaves a note,
+renewed while they live; one that was not renewed for ten minutes of the store's own clock counts for nothing.
+"""
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import os
+import secrets
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from kleinkram.server.backup.failing import CannotWrite, InTheWay
+from kleinkram.server.backup.shelf import FolderShelf, Shelf
+
+_NOTES = "locks/"
+_RENEWED_EVERY_S = 60.0
+_STALE_S = 600.0
+
+
+@asynccontextmanager
+async def at_work(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
+    """Be at work in a place, `alone` or beside others.
+
+    Raises:
+        InTheWay: somebody is there whom that does not suit.
+    """
+    if isinstance(shelf, FolderShelf):
+        with _held(Path(shelf.name), alone=alone):
+            if alone:
+                await shelf.tidy()
+            yield
+        return
+    async with _noted(shelf, alone=alone):
+        if alone:
+            await shelf.tidy()
+        yield
+
+
+@contextlib.contextmanager
+def _held(folder: Path, *, alone: bool) -> Iterator[None]:
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor = _open(folder / "lock", alone=alone)
+    except OSError as error:
+        raise CannotWrite(f"{folder} cannot be used: {error.strerror or error}.") from error
+    try:
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InTheWay(_busy(str(folder))) from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _open(path: Path, *, alone: bool) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        if alone or error.errno not in (errno.EROFS, errno.EACCES):
+            raise
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)  # who only reads may do so from where nobody can write
+
+
+@asynccontextmanager
+async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
+    own = f"{_NOTES}{'alone' if alone else 'beside'}-{secrets.token_hex(8)}"
+    await shelf.put(own, _empty(), 0)
+    try:
+        notes = {item.path: item.at async for item in shelf.listed(_NOTES)}
+        others = [path for path, at in notes.items() if path != own and notes[own] - at < _STALE_S]
+        if (alone and others) or any(path.startswith(f"{_NOTES}alone-") for path in others):
+            raise InTheWay(_busy(shelf.name))
+        for path in notes.keys() - {own, *others}:
+            await shelf.delete(path)
+        renewing = asyncio.create_task(_renew(shelf, own))
+        try:
+            yield
+        finally:
+            renewing.cancel()
+            await asyncio.gather(renewing, return_exceptions=True)
+    finally:
+        await shelf.delete(own)
+
+
+async def _renew(shelf: Shelf, own: str) -> None:
+    while True:
+        await asyncio.sleep(_RENEWED_EVERY_S)
+        await shelf.put(own, _empty(), 0)
+
+
+async def _empty() -> AsyncGenerator[bytes, None]:
+    yield b""
+
+
+def _busy(name: str) -> str:
+    return f"Somebody else is at work on the backups in {name}: wait until that has ended, then run it again."
