@@ -17,6 +17,8 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "up": ("kleinkram.cli.up", "up", "Run Kleinkram on this machine."),
     "down": ("kleinkram.cli.up", "down", "End the Kleinkram that runs on this machine."),
     "doctor": ("kleinkram.cli.up", "doctor", "Say what is wrong, and how to mend it."),
+    "backup": ("kleinkram.cli.backup", "app", "Backups of a whole site: create, list, verify, forget."),
+    "restore": ("kleinkram.cli.backup", "restore", "Restore a backup into an empty site."),
     "login": ("kleinkram.cli.login", "login", "Sign in to a server."),
     "logout": ("kleinkram.cli.logout", "logout", "Sign out, and end the token."),
     "whoami": ("kleinkram.cli.whoami", "whoami", "Who the server takes you for."),

@@ -57,7 +57,7 @@ def up(
     from kleinkram.standalone.plan import UpOptions
 
     options = UpOptions(
-        data_dir=_resolve(data_dir),
+        data_dir=resolve_data_dir(data_dir),
         listening=Listening(
             address=listen,
             port=port,
@@ -66,7 +66,7 @@ def up(
             tls_cert=tls_cert.resolve() if tls_cert else None,
             tls_key=tls_key.resolve() if tls_key else None,
         ),
-        is_default_data_dir=_resolve(data_dir) == _resolve(None),
+        is_default_data_dir=resolve_data_dir(data_dir) == resolve_data_dir(None),
         with_runner=runner,
         as_json=as_json,
     )
@@ -82,7 +82,7 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     from kleinkram.standalone.errors import StandaloneError
     from kleinkram.standalone.leftovers import stop_instance
 
-    folder = _resolve(data_dir)
+    folder = resolve_data_dir(data_dir)
     try:
         ended = stop_instance(DataDir(folder))
     except StandaloneError as error:
@@ -102,7 +102,7 @@ def doctor(
     """Say what is wrong with the Kleinkram on this machine, and how to mend it. Exit code 1 if anything is."""
     from kleinkram.standalone.doctor import examine
 
-    findings = examine(_resolve(data_dir))
+    findings = examine(resolve_data_dir(data_dir))
     if as_json:
         told = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
         typer.echo(json.dumps({"ok": all(it.ok for it in findings), "checks": told}, indent=2))
@@ -113,7 +113,8 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _resolve(data_dir: Path | None) -> Path:
+def resolve_data_dir(data_dir: Path | None) -> Path:
+    """Return the folder of the instance that is meant: the one given, else the usual one."""
     from kleinkram.client.config import data_dir as default_data_dir
 
     return (data_dir or default_data_dir()).expanduser().resolve()

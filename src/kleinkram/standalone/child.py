@@ -74,6 +74,14 @@ def spawn(command: Command) -> "subprocess.Popen[bytes]":
         os.close(descriptor)
 
 
+def speak_for_us(arguments: Sequence[str], environment: Mapping[str, str]) -> "subprocess.Popen[bytes]":
+    """Start a program that has our own terminal, and dies with the calling thread."""
+    command = Command(arguments=arguments, data_dir=Path("/"), log=Path("/dev/null"))
+    return subprocess.Popen(
+        list(arguments), env=dict(environment), preexec_fn=_before_exec(command, parent=os.getpid())
+    )
+
+
 def tell(child: "subprocess.Popen[bytes]") -> None:
     """Let a child begin that waits; nothing happens where it does not, or has begun or ended."""
     if child.stdin is not None and not child.stdin.closed:

@@ -74,6 +74,11 @@ class DataDir:
         return self.root / "ports.json"
 
     @property
+    def restoring_file(self) -> Path:
+        """There while a backup is being restored into the folder: from where."""
+        return self.root / "RESTORING"
+
+    @property
     def schema_file(self) -> Path:
         """Which migrations the database has seen."""
         return self.root / "schema"
@@ -202,6 +207,20 @@ def refuse_newer(data_dir: DataDir) -> None:
             f"{data_dir.root} was last used by Kleinkram {version}, and this is {kleinkram.__version__}: "
             f"install {version} or later (`pip install 'open-kleinkram[server]>={version}'`), or name another "
             "--data-dir."
+        )
+
+
+def refuse_half_restored(data_dir: DataDir) -> None:
+    """Refuse a folder into which a restore did not get to its end: it would show an empty site, and let people fill it.
+
+    Raises:
+        DataDirUnusable: it is one.
+    """
+    if data_dir.restoring_file.exists():
+        source = data_dir.restoring_file.read_text().strip()
+        raise DataDirUnusable(
+            f"A restore into {data_dir.root} was not finished: run the same command again (`klein restore {source} "
+            f"--data-dir {data_dir.root}`), and it goes on; or remove the folder."
         )
 
 

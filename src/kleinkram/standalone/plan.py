@@ -13,6 +13,7 @@ from kleinkram.standalone.child import Command
 from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
 from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords
 from kleinkram.standalone.runner_part import RunnerPart
+from kleinkram.standalone.s3 import StoreAccess
 from kleinkram.standalone.store import BUCKET, PORT_NAMES, StoreFolder
 from kleinkram.standalone.trust import bundle_with
 
@@ -70,6 +71,11 @@ class Plan:
             directory=self.data_dir.root,
             waits=name == "api",
         )
+
+    def data_environment(self) -> dict[str, str]:
+        """What a process must know to reach database and store, also as the role that owns the schema."""
+        cluster = self.postgres
+        return data_environment(cluster.url(SERVE), cluster.url(MIGRATE), self.store.access)
 
     def door(self) -> Command | None:
         """What passes clients from outside on to the store; None where they reach it directly."""
@@ -175,6 +181,19 @@ def make_plan(options: UpOptions) -> Plan:
         ),
         with_runner=options.with_runner,
     )
+
+
+def data_environment(serve: str, migrate: str, access: StoreAccess) -> dict[str, str]:
+    """The settings that name an instance's database, as both roles, and its store."""
+    return {
+        "KLEINKRAM_DATABASE_URL": serve,
+        "KLEINKRAM_MIGRATION_DATABASE_URL": migrate,
+        "KLEINKRAM_S3_INTERNAL_URL": access.endpoint,
+        "KLEINKRAM_S3_BUCKET": BUCKET,
+        "KLEINKRAM_S3_ACCESS_KEY": access.access_key,
+        "KLEINKRAM_S3_SECRET_KEY": access.secret_key,
+        "KLEINKRAM_S3_REGION": access.region,
+    }
 
 
 def _server_environment(plan: Plan) -> dict[str, str]:

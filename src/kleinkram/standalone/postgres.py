@@ -72,7 +72,12 @@ class PostgresCluster:
     def url(self, role: str, database: str = DATABASE) -> str:
         """`postgresql://` URL of a database for one of the three roles."""
         password = {ADMIN: self.passwords.admin, MIGRATE: self.passwords.migrate, SERVE: self.passwords.serve}[role]
-        return f"postgresql://{role}:{password}@127.0.0.1:{self.port}/{database}"
+        return role_url(role, password, self.port, database)
+
+
+def role_url(role: str, password: str, port: int, database: str = DATABASE) -> str:
+    """`postgresql://` URL of a private PostgreSQL on this machine."""
+    return f"postgresql://{role}:{password}@127.0.0.1:{port}/{database}"
 
 
 def initialise(cluster: PostgresCluster) -> None:
@@ -224,8 +229,10 @@ def _refuse_other_version(cluster: PostgresCluster, found: str) -> None:
     if found != str(cluster.binaries.major):
         raise VersionMismatch(
             f"The database in {cluster.folder} was made by PostgreSQL {found}, but the programs in "
-            f"{cluster.binaries.folder} are of version {cluster.binaries.major}: name a folder with programs of "
-            f"version {found} in KLEINKRAM_POSTGRES_BIN, or move the data over with pg_dumpall and psql."
+            f"{cluster.binaries.folder} are of version {cluster.binaries.major}. Nothing was changed. With the "
+            f"Kleinkram that used it last, or a folder of programs of version {found} in KLEINKRAM_POSTGRES_BIN, run "
+            f"`klein backup create BACKUPS --data-dir {cluster.data_dir}`; then, with this one, "
+            "`klein restore BACKUPS --data-dir NEW`."
         )
 
 

@@ -21,6 +21,7 @@ from kleinkram.standalone.data_dir import (
     create,
     exclusive,
     note_version,
+    refuse_half_restored,
     refuse_newer,
     write_private,
 )
@@ -52,9 +53,10 @@ def run(options: UpOptions) -> None:
         StandaloneError: it could not be started; what had been started is ended again.
     """
     data_dir = DataDir(options.data_dir)
-    signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
+    watch_signals()
     create(data_dir)
     with exclusive(data_dir):
+        refuse_half_restored(data_dir)
         refuse_newer(data_dir)
         end_leftovers(data_dir)
         supervisor = Supervisor(make_plan(options))
@@ -86,6 +88,11 @@ def _start(supervisor: "Supervisor", options: UpOptions) -> None:
         _say_lost(taken)
         supervisor.plan = make_plan(options)
         supervisor.start()
+
+
+def watch_signals() -> None:
+    """Let signals that ask for the end wait until `pause` looks for them."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
 
 
 class Supervisor:
@@ -129,6 +136,21 @@ class Supervisor:
         note_version(plan.data_dir)
         self._tell()
 
+    def start_data(self) -> None:
+        """Start database and store alone; returns when both can be used.
+
+        Raises:
+            StandaloneError: a part ended or did not become ready in time.
+            StopAsked: meanwhile somebody asked for the end.
+        """
+        plan = self.plan
+        self._launch("store", lambda: store.start(plan.store), stop_signal=store.STOP_SIGNAL)
+        postgres.initialise(plan.postgres)
+        database = self._launch("postgres", lambda: postgres.start(plan.postgres), stop_signal=postgres.STOP_SIGNAL)
+        self._wait(lambda: postgres.is_ready(plan.postgres, database.child), database)
+        postgres.prepare_database(plan.postgres)
+        self._wait_for_store()
+
     def watch(self) -> list[str]:
         """Start again what ends, and keep the logs within bounds, until the end is asked for.
 
@@ -147,7 +169,7 @@ class Supervisor:
                 logs_due = time.monotonic() + _LOGS_EVERY_S
                 for running in self.parts.values():
                     bound_log(running.part.log)
-            _pause(self._until_next_start())
+            pause(self._until_next_start())
 
     def stop(self) -> None:
         """End all parts: those that use others first."""
@@ -181,7 +203,7 @@ class Supervisor:
                     f"The part '{running.part.name}' was not ready after {_START_TIMEOUT_S:.0f} s: "
                     f"see {running.part.log}; its last line: {last_line(running.part.log)}"
                 )
-            _pause(0.02)
+            pause(0.02)
 
     def _wait_for_store(self) -> None:
         """Wait until bytes come back, starting anew a store that listens and takes none: it would for 5 to 20 s.
@@ -219,7 +241,7 @@ class Supervisor:
         running = launch(Part("migrate", lambda: child.spawn(command), command.log, signal.SIGTERM, stop_timeout_s=15))
         try:
             while running.ending() is None:
-                _pause(0.02)
+                pause(0.02)
         finally:
             running.stop()
         if running.child.returncode != 0:
@@ -297,7 +319,7 @@ def _ended(running: RunningPart) -> PartFailed:
     )
 
 
-def _pause(seconds: float) -> None:
+def pause(seconds: float) -> None:
     """Sleep, but wake when a child ends.
 
     By an alarm: `sigtimedwait` invents a signal where the process was stopped (Ctrl-Z) until after its time.

@@ -1,0 +1,152 @@
+"""`klein backup`, `klein restore`: for whoever runs the server, on its machine. Parses, and becomes who does it.
+
+Where no settings of a server are in the environment, and no folder is named, the instance of `klein up` is meant.
+"""
+
+import json
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram.cli.options import AsJson, Connections, LimitRate
+from kleinkram.cli.units import parse_rate
+from kleinkram.cli.up import DataDirOption, resolve_data_dir
+from kleinkram.client.errors import InvalidInput
+
+app = typer.Typer(help="Backups of a whole site: create, list, verify, forget.", no_args_is_help=True)
+
+_AT_ONCE = 8
+
+Place = Annotated[
+    str,
+    typer.Argument(
+        metavar="PLACE",
+        help="A folder, or s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY).",
+        show_default=False,
+    ),
+]
+PassphraseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--passphrase-file",
+        metavar="FILE",
+        help="Its first line is the passphrase. Or KLEINKRAM_BACKUP_PASSPHRASE.",
+        dir_okay=False,
+    ),
+]
+SnapshotOption = Annotated[
+    str | None, typer.Option("--snapshot", metavar="ID", help="Which backup, as `klein backup list` names it.")
+]
+
+
+@app.command()
+def create(
+    place: Place,
+    data_dir: DataDirOption = None,
+    encrypt: Annotated[
+        bool, typer.Option("--encrypt", help="Seal what is written, by a passphrase. Decided at the first backup.")
+    ] = False,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _AT_ONCE,
+    as_json: AsJson = False,
+) -> None:
+    """Back up database and files while the server runs. Only files that are new there are copied; resumes.
+
+    Exit code 9: it was made, but some files were lost or corrupt in the store already; it says which.
+    """
+    order = {"encrypt": encrypt, "bytes_per_s": parse_rate(limit_rate), "connections": connections}
+    _become(_order("create", place, passphrase_file, as_json, **order), data_dir)
+
+
+@app.command("list")
+def list_(place: Place, passphrase_file: PassphraseFile = None, as_json: AsJson = False) -> None:
+    """List the backups in a place, the oldest first."""
+    _become_server(_order("list", place, passphrase_file, as_json))
+
+
+@app.command()
+def verify(
+    place: Place,
+    snapshot: SnapshotOption = None,
+    read_all: Annotated[
+        bool, typer.Option("--read-all", help="Read every byte and compare it with its SHA-256.")
+    ] = False,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _AT_ONCE,
+    as_json: AsJson = False,
+) -> None:
+    """Say whether the backups are whole: by names and sizes, or with --read-all by every byte. Exit code 9 if not."""
+    order = {
+        "snapshot_id": snapshot,
+        "read_all": read_all,
+        "bytes_per_s": parse_rate(limit_rate),
+        "connections": connections,
+    }
+    _become_server(_order("verify", place, passphrase_file, as_json, **order))
+
+
+@app.command()
+def forget(
+    place: Place,
+    keep: Annotated[int, typer.Option("--keep", metavar="N", min=1, help="So many, the latest, stay.")],
+    passphrase_file: PassphraseFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Drop all backups but the latest, and what only they held."""
+    _become_server(_order("forget", place, passphrase_file, as_json, keep=keep))
+
+
+def restore(
+    place: Place,
+    data_dir: DataDirOption = None,
+    snapshot: SnapshotOption = None,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _AT_ONCE,
+    as_json: AsJson = False,
+) -> None:
+    """Restore a backup (the latest) into an empty site: a new folder, or an empty database and bucket. Resumes.
+
+    Exit code 9: it was restored, but some files are lost or corrupt, and shown so; it says which.
+    """
+    order = {"snapshot_id": snapshot, "bytes_per_s": parse_rate(limit_rate), "connections": connections}
+    _become(_order("restore", place, passphrase_file, as_json, **order), data_dir)
+
+
+def _order(command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object) -> dict[str, object]:
+    # Who does it stands elsewhere.
+    where = place if place.startswith("s3://") else str(Path(place).expanduser().resolve())
+    file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
+    return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
+
+
+def _become(order: dict[str, object], data_dir: Path | None) -> None:
+    if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
+        _become_server(order)
+    _require_server()
+    from kleinkram.standalone.backup import Errand
+
+    _exec(Errand(str(resolve_data_dir(data_dir)), order, fills=order["command"] == "restore").command())
+
+
+def _become_server(order: dict[str, object]) -> None:
+    _require_server()
+    _exec([sys.executable, "-m", "kleinkram.server.backup", json.dumps(order)])
+
+
+def _require_server() -> None:
+    if find_spec("psycopg") is None:
+        raise InvalidInput(
+            what="This installation", reason="it lacks the server's part: `pip install 'open-kleinkram[server]'`"
+        )
+
+
+def _exec(command: list[str]) -> None:
+    sys.stdout.flush()
+    os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
