@@ -18,6 +18,20 @@ from tests.system.house import House
 
 pytestmark = pytest.mark.slow
 
+_ASKING = """\
+# /// script
+# dependencies = ["open-kleinkram"]
+#
+# [tool.kleinkram]
+# network = "api"
+# ///
+import os
+
+import kleinkram
+
+with kleinkram.connect() as client:
+    print(client.missions.get(os.environ["KLEINKRAM_MISSION_ID"]).name, "it is")
+"""
 _MIB = 1024 * 1024
 # Tries to connect to every port it is given, and prints those that let it.
 _KNOCK = """
@@ -48,8 +62,13 @@ def test_over_tls_with_a_certificate_of_our_own(house: House, other_machine: Oth
     stranger = other_machine.terminal(_folder(tmp_path / "stranger"), KLEINKRAM_URL=url, KLEINKRAM_TOKEN="klein_x")
     assert "certificate" in stranger.run("project", "list", code=None).err.lower()
     # The way that OpenSSL gives every program; the client has no setting of its own.
-    _tell_the_story(house, other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate)))
+    robot = other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate))
+    _tell_the_story(house, robot)
     assert _ports_that_open(house, other_machine) == {house.port, house.s3_port}
+    (tmp_path / "asking.py").write_text(_ASKING)
+    place = ("-p", "alpine", "-m", "day")
+    told = robot.run("action", "run", tmp_path / "asking.py", *place, "--follow")
+    assert "day it is" in told.out + told.err, "a run believes whom its runner believes"
 
 
 def _listen(house: House, machine: OtherMachine, scheme: str) -> None:

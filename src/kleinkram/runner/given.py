@@ -8,6 +8,8 @@ from kleinkram.contract.runs import CONTEXT_FILE, RunContext
 
 _OWN_FOLDER = ".kleinkram"
 _SCRIPT = f"{_OWN_FOLDER}/script.py"
+# Whom the runner believes, for a run that may speak to the server: it may have a certificate of the lab's own.
+AUTHORITIES = f"{_OWN_FOLDER}/authorities.pem"
 # What a runner itself puts into `/in`.
 _OWN = {CONTEXT_FILE, _OWN_FOLDER}
 
@@ -24,13 +26,14 @@ def check_place(path: str) -> str:
     return path
 
 
-def write_given(folder: Path, context: RunContext, script: str | None) -> None:
-    """Write `mission.json` into the folder that becomes `/in`, and a script beside it."""
+def write_given(folder: Path, context: RunContext, script: str | None, authorities: str | None = None) -> None:
+    """Write `mission.json` into the folder that becomes `/in`, and beside it a script and certificates (PEM)."""
     (folder / CONTEXT_FILE).write_text(context.model_dump_json(indent=1))
-    if script is not None:
-        path = folder / _SCRIPT
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(script)
+    for name, text in ((_SCRIPT, script), (AUTHORITIES, authorities)):
+        if text is not None:
+            path = folder / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
 
 
 def script_command(dependencies: list[str], *, in_image: bool) -> list[str]:

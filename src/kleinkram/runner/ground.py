@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from kleinkram.client.runners import Runners
 from kleinkram.client.service import Service
 from kleinkram.client.transfer._store import StoreDoor
 from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import Isolation
 from kleinkram.runner.attempts import Attempt
 from kleinkram.runner.cache import Cache
 from kleinkram.runner.doorways import doors_to
-from kleinkram.runner.given import script_command
+from kleinkram.runner.given import AUTHORITIES, script_command
 from kleinkram.runner.work import Executor, Work
 
 
@@ -43,6 +45,9 @@ def work_of(ground: Ground, attempt: Attempt) -> Work:
         "KLEINKRAM_MISSION_ID": str(claim.mission_id),
         "KLEINKRAM_RUN_ID": str(claim.run_id),
     }
+    if (attempt.folder / "in" / AUTHORITIES).is_file():
+        root = attempt.folder if ground.executor.abilities.isolation is Isolation.none else Path("/")
+        environment["SSL_CERT_FILE"] = str(root / "in" / AUTHORITIES)
     return Work(
         key=attempt.key,
         folder=attempt.folder,

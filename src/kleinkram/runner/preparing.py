@@ -1,7 +1,9 @@
 """Getting a run ready: its image at hand, its inputs in place, and what it is told."""
 
+import os
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 
 from kleinkram.client._retry import Backoff
 from kleinkram.contract.actions import Network
@@ -83,7 +85,11 @@ class Preparing:
         given.mkdir()
         fetcher.lay(given, may_share=may_share)
         context = ground.runners.context(self._claim.run_id, self._claim.attempt)
-        write_given(given, context, self._claim.script)
+        write_given(given, context, self._claim.script, self._authorities())
+
+    def _authorities(self) -> str | None:
+        believed = os.environ.get("SSL_CERT_FILE")
+        return Path(believed).read_text() if believed and self._claim.network is Network.api else None
 
     def _image(self) -> str | None:
         """Return the image that is to be run, if any.
