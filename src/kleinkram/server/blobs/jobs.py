@@ -21,6 +21,7 @@ from kleinkram.recordings import (
     stream_request_bytes,
 )
 from kleinkram.server.blobs import scrubs, service
+from kleinkram.server.blobs.holding import is_held_back
 from kleinkram.server.blobs.proving import Found, read_through
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.blobs.scrubbing import scrub_store
@@ -185,6 +186,9 @@ async def sweep_once(site: Site) -> None:
     async with site.database.begin() as db:
         await service.doom_unreferenced(db, limit=_SWEEP_BATCH)
     async with site.database.begin() as db:
+        # After the dooming, so that what a backup saw undoomed is not taken from it.
+        if await is_held_back(db):
+            return
         doomed = await service.doomed_blobs(
             db, store_id=site.settings.store_id, grace_s=site.settings.sweep_grace_s, limit=_SWEEP_BATCH
         )

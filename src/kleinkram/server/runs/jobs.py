@@ -3,6 +3,7 @@
 from procrastinate import JobContext
 from sqlalchemy import Row, delete, func, or_, select, text
 
+from kleinkram.server.blobs.holding import is_held_back
 from kleinkram.server.jobs.context import site_of
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.runs.ending import cancel_orphans, take_back_lost
@@ -44,4 +45,4 @@ async def _needless(site: Site) -> list[Row[tuple[str]]]:
     stmt = select(log_segment.c.key).outerjoin(run, run.c.id == log_segment.c.run_id)
     due = stmt.where(log_segment.c.store_id == site.settings.store_id, needless).limit(_BATCH)
     async with site.database.begin() as db:
-        return list((await db.execute(due)).all())
+        return [] if await is_held_back(db) else list((await db.execute(due)).all())
