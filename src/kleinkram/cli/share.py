@@ -39,8 +39,9 @@ def create(
     as_json: AsJson = False,
 ) -> None:
     """Make a link and print its address. Whoever has it may read what it shows; it is shown this once."""
-    expires_at = ending(until, days) or in_days(_USUAL_DAYS)
     with connect() as client:
+        now = client.service.now
+        expires_at = ending(until, days, now) or in_days(_USUAL_DAYS, now)
         place = client.missions.get(the_ref("mission", None, mission), project=project)
         file_ids = None
         if files:

@@ -48,8 +48,8 @@ def create(
     as_json: AsJson = False,
 ) -> None:
     """Make a token and print it. It is shown this once."""
-    expires_at = ending(until, days)
     with connect() as client:
+        expires_at = ending(until, days, client.service.now)
         reach = Reach([client.projects.get(ref).id for ref in project or []], _missions(client, mission or []))
         made = client.tokens.create(name, kind=kind, scopes=scope or None, reach=reach, expires_at=expires_at)
     if as_json:

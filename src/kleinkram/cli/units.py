@@ -1,6 +1,7 @@
 """Sizes, rates and times between people and numbers."""
 
 import datetime
+from collections.abc import Callable
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.query.amounts import read_size, read_time
@@ -48,20 +49,22 @@ def parse_time(text: str | None) -> datetime.datetime | None:
         raise InvalidInput(what=f"The time {text!r}", reason=str(error)) from None
 
 
-def ending(until: str | None, days: int | None) -> datetime.datetime | None:
+def ending(until: str | None, days: int | None, now: Callable[[], datetime.datetime]) -> datetime.datetime | None:
     """Return when something ends that was said to end at a time, or in some days; None where nothing was said.
+
+    `now` is the server's clock, which days are counted by: this machine's may be wrong.
 
     Raises:
         InvalidInput: both were said, or the time is none.
     """
     if until is not None and days is not None:
         raise InvalidInput(what="The end", reason="say --until or --days, not both")
-    return parse_time(until) if days is None else in_days(days)
+    return parse_time(until) if days is None else in_days(days, now)
 
 
-def in_days(days: int) -> datetime.datetime:
-    """Return the time in so many days."""
-    return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=days)
+def in_days(days: int, now: Callable[[], datetime.datetime]) -> datetime.datetime:
+    """Return the time in so many days, by a server's clock."""
+    return now() + datetime.timedelta(days=days)
 
 
 def size(size_bytes: int | None) -> str | None:

@@ -3,11 +3,13 @@
 Never moves the bytes of files; those go straight to the store (`transfer/`). Safe to share between threads.
 """
 
+import datetime
 import json
 import math
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
 from urllib.parse import urlencode
 
@@ -34,6 +36,7 @@ PATIENCE_S = 4.0
 _RESTART_S = 60.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _TOO_OFTEN = 429
+_SAME_TIME = datetime.timedelta(seconds=5)
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 
 
@@ -59,6 +62,11 @@ class Api:
         self._base = f"{endpoint.url}/api/v1"
         timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
         self._pool = urllib3.PoolManager(maxsize=8, retries=False, timeout=timeout)
+        self._server_ahead = datetime.timedelta(0)
+
+    def now(self) -> datetime.datetime:
+        """Return what time it is at the server (aware), as its last answer told: all that ends, ends by its clock."""
+        return datetime.datetime.now(datetime.timezone.utc) + self._server_ahead
 
     def close(self) -> None:
         """Close the connections."""
@@ -177,7 +185,7 @@ class Api:
         wait: Callable[[float], object] | None = None,
         whole: bool = True,
     ) -> urllib3.BaseHTTPResponse:
-        backoff = Backoff(patience_s, wait) if wait else Backoff(patience_s)
+        backoff: Backoff | None = None
         url = self._base + path
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
@@ -185,11 +193,13 @@ class Api:
             try:
                 answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, request_id, whole)
             except urllib3.exceptions.HTTPError as error:
+                backoff = backoff or _backoff(patience_s, wait)
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
                     continue
                 raise remember_request(self._unreachable(error), request_id) from error
             if answer.status < 300:
                 return answer
+            backoff = backoff or _backoff(patience_s, wait)
             if answer.status == _TOO_OFTEN and backoff.obey(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
@@ -208,7 +218,21 @@ class Api:
             headers["Authorization"] = f"Bearer {self.endpoint.token}"
         if content is not None:
             headers["Content-Type"] = "application/json"
-        return self._pool.request(method, target, body=content, headers=headers, redirect=False, preload_content=whole)
+        answer = self._pool.request(
+            method, target, body=content, headers=headers, redirect=False, preload_content=whole
+        )
+        self._hear(answer.headers.get("Date"))
+        return answer
+
+    def _hear(self, date: str | None) -> None:
+        try:
+            told = parsedate_to_datetime(date) if date else None
+        except ValueError:  # a proxy's invention
+            return
+        if told is not None and told.tzinfo is not None:
+            ahead = told - datetime.datetime.now(datetime.timezone.utc)
+            # A date is in whole seconds, and old by the time that it took to come.
+            self._server_ahead = ahead if abs(ahead) > _SAME_TIME else datetime.timedelta(0)
 
     def _unreachable(self, error: urllib3.exceptions.HTTPError) -> ServerUnreachable:
         return ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
@@ -223,6 +247,11 @@ class Api:
         if isinstance(error, NotAuthenticated):
             error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)
         return remember_request(error, problem.request_id or request_id)
+
+
+def _backoff(patience_s: float, wait: Callable[[float], object] | None) -> Backoff:
+    """Begin to be patient: at the first failure, since an answer that was waited for may break off after long."""
+    return Backoff(patience_s, wait) if wait else Backoff(patience_s)
 
 
 def _lines(answer: urllib3.BaseHTTPResponse) -> Iterator[str]:

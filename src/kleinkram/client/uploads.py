@@ -3,6 +3,7 @@
 `begin`, `sign` and `complete` may be repeated, so they outlast a server that is away for a while.
 """
 
+import datetime
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 
@@ -35,6 +36,10 @@ class Uploads:
     def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "Uploads":
         """Return the same with other patience."""
         return Uploads(self._api, patience_s=patience_s, wait=wait)
+
+    def now(self) -> datetime.datetime:
+        """Return what time it is at the server, by which addresses end."""
+        return self._api.now()
 
     def list(self, mission_id: uuid.UUID) -> Iterator[UploadRead]:
         """Yield the uploads into a mission that are under way."""

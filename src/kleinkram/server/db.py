@@ -20,6 +20,9 @@ from kleinkram.server.settings import Settings, async_dsn
 # Above any statement of the API on a large database; a worker may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
+# Source: PostgreSQL, "Error Codes": connection exceptions, and the server's end, crash or start.
+_CUT_OFF = ("08", "57P01", "57P02", "57P03")
+_NO_ROOM = "its disk is full: whoever runs the server has to make room on it"
 # What a service takes first: an open transaction it must not end.
 Connection = AsyncConnection
 
@@ -35,8 +38,8 @@ class Database:
         """Run a transaction: commit at the end, roll back on any error.
 
         Raises:
-            DatabaseUnavailable: no connection could be had in time, it broke, or the database ended the transaction
-                (deadlock, statement timeout, shutdown): all of it may be tried again.
+            DatabaseUnavailable: no connection could be had in time, it broke, the database ended the transaction
+                (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
         """
         try:
             async with self.engine.begin() as connection:
@@ -44,6 +47,8 @@ class Database:
         except PoolTimeoutError as error:
             raise DatabaseUnavailable from error
         except DBAPIError as error:
+            if isinstance(error.orig, psycopg.errors.DiskFull):
+                raise DatabaseUnavailable(reason=_NO_ROOM) from error
             if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
                 raise DatabaseUnavailable from error
             raise
@@ -73,6 +78,15 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         hide_parameters=True,  # in the text of errors, which is logged
     )
     return Database(engine)
+
+
+def was_cut_off(error: DatabaseUnavailable) -> bool:
+    """Say of a failure whether the database was not there, or went away: it may be back within moments."""
+    cause = error.__cause__
+    if not isinstance(cause, DBAPIError) or not isinstance(cause.orig, psycopg.OperationalError):
+        return False
+    state = cause.orig.sqlstate
+    return state is None or state.startswith(_CUT_OFF)
 
 
 def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:

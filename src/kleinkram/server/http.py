@@ -27,8 +27,10 @@ from kleinkram.contract.errors import (
 from kleinkram.server import measures
 from kleinkram.server.audit.places import named
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
+from kleinkram.server.db import was_cut_off
 from kleinkram.server.headers import guarded
 from kleinkram.server.proxies import set_asker
+from kleinkram.server.reads import GONE, Reads, may_be_read_again
 from kleinkram.server.settings import Settings
 from kleinkram.server.web.serving import app_page, wants_page
 
@@ -52,7 +54,7 @@ class Envelope:
     """ASGI middleware: names each request and where it is from, bounds its body, guards, logs and counts its answer."""
 
     def __init__(self, app: ASGIApp, *, settings: Settings) -> None:
-        self._app = app
+        self._app = Reads(app)
         self._body_limit_bytes = settings.body_limit_bytes
         self._trusted = settings.trusted_proxies
         self._is_https = settings.public_url.startswith("https://")
@@ -81,6 +83,7 @@ class Envelope:
         try:
             await self._bounded(scope, receive, send_named, headers)
         finally:
+            status = GONE if scope["state"].get("is_gone") else status
             self._account(scope, status, time.perf_counter() - started, request_id)
 
     async def _bounded(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
@@ -150,6 +153,8 @@ async def _on_failure(request: Request, error: Exception) -> JSONResponse:
         raise error
     if error.status in {401, 403} or error.code in ALSO_REFUSALS:
         await note_refusal(request, error)
+    if isinstance(error, DatabaseUnavailable) and was_cut_off(error):
+        may_be_read_again(request.scope)
     return problem_response(error, _request_id(request))
 
 

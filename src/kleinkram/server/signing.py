@@ -9,19 +9,53 @@ Source: AWS General Reference, "Authenticating Requests: Using Query Parameters 
 import datetime
 import hashlib
 import hmac
+import logging
 from collections.abc import Mapping
+from email.utils import parsedate_to_datetime
 from urllib.parse import quote, urlsplit
 
 from kleinkram.server.settings import Settings
 
+_log = logging.getLogger("kleinkram.signing")
 _ALGORITHM = "AWS4-HMAC-SHA256"
+# A date comes in whole seconds and some time after it was said; stores take signatures that are minutes off.
+_TOLERATED = datetime.timedelta(seconds=20)
 _DEFAULT_PORTS = {"http": 80, "https": 443}
+
+
+class StoreClock:
+    """What time it is at the store, as its answers tell: its clock is the one that signatures are judged by."""
+
+    def __init__(self) -> None:
+        self._ahead = datetime.timedelta(0)
+
+    def now(self) -> datetime.datetime:
+        """Return the time there, aware."""
+        return datetime.datetime.now(datetime.timezone.utc) + self._ahead
+
+    def hear(self, date: str | None) -> bool:
+        """Take note of an answer's Date; say whether it is another time there than was thought."""
+        try:
+            told = parsedate_to_datetime(date) if date else None
+        except ValueError:  # a proxy's invention
+            told = None
+        if told is None or told.tzinfo is None or abs(told - self.now()) <= _TOLERATED:
+            return False
+        self._ahead = told - datetime.datetime.now(datetime.timezone.utc)
+        if abs(self._ahead) <= _TOLERATED:
+            self._ahead = datetime.timedelta(0)
+        _log.warning(
+            "the clocks of this server and of the store are apart: addresses are signed by the store's; set both (NTP)",
+            extra={"fields": {"store_ahead_s": round(self._ahead.total_seconds())}},
+        )
+        return True
 
 
 class Presigner:
     """Signs addresses of objects as one identity, at one address of the store. Keeps the signing key of the day."""
 
-    def __init__(self, settings: Settings, url: str) -> None:
+    def __init__(self, settings: Settings, url: str, clock: StoreClock | None = None) -> None:
+        self.clock = clock or StoreClock()
         # In small letters, as it is signed: not every HTTP client makes a host's name so by itself.
         parts = urlsplit(url.rstrip("/"))
         parts = parts._replace(netloc=parts.netloc.lower())
@@ -49,9 +83,9 @@ class Presigner:
 
         An empty `key` is the bucket itself.
 
-        It is good for `expires_s` from `at` (aware; by default now).
+        It is good for `expires_s` from `at` (aware; by default now, by the store's clock).
         """
-        time = (at or datetime.datetime.now(datetime.timezone.utc)).strftime("%Y%m%dT%H%M%SZ")
+        time = (at or self.clock.now()).strftime("%Y%m%dT%H%M%SZ")
         scope = f"{time[:8]}/{self._region}/s3/aws4_request"
         signed = {"host": self._host, **{name.lower(): value.strip() for name, value in headers.items()}}
         names = ";".join(sorted(signed))

@@ -16,7 +16,7 @@ from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, HeldPart
 from kleinkram.server.s3 import LOST, S3, Answer, Question, S3Error, open_s3, why
 from kleinkram.server.settings import Settings
-from kleinkram.server.signing import Presigner
+from kleinkram.server.signing import Presigner, StoreClock
 
 CHECKSUM_HEADERS = {
     ChecksumKind.crc64nvme: "x-amz-checksum-crc64nvme",
@@ -382,6 +382,10 @@ def _refusal(error: S3Error, what: str, question: Question) -> Exception:
 @asynccontextmanager
 async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
     """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
-    signers = Signers(Presigner(settings, settings.store_public_url), Presigner(settings, settings.s3_internal_url))
+    clock = StoreClock()
+    signers = Signers(
+        Presigner(settings, settings.store_public_url, clock), Presigner(settings, settings.s3_internal_url, clock)
+    )
     async with open_s3(settings, signers.internal) as s3:
+        await s3.look_at_clock()
         yield Storage(s3, signers, Abilities(ChecksumKind.md5, writes_once=False))

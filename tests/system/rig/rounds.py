@@ -63,7 +63,7 @@ def fill(one: Round, chance: random.Random) -> None:
     small = [20_000 * (1 + number % 25) for number in range(_SMALL_FILES)]
     left = one.size_bytes - sum(small)
     count = max(2, left // (60 * MB))
-    large = [left // count + number for number in range(count)]
+    large = [left // count] * (count - 1) + [left - left // count * (count - 1)]
     for number, size in enumerate([*large, *small]):
         path = one.folder / f"{number:03}.bin"
         content = chance.randbytes(size)

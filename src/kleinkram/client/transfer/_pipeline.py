@@ -6,7 +6,6 @@ against the checksum that the server signed. At most `AHEAD_BYTES` are hashed an
 """
 
 import contextlib
-import datetime
 import threading
 import time
 import uuid
@@ -66,6 +65,7 @@ class Pipeline:
         self._to_finish: Channel[Sending] = Channel(stop)
         self._open: dict[uuid.UUID, Sending] = {}
         self._leases: dict[uuid.UUID, Sending] = {}
+        self._again = threading.Lock()
         self._threads: list[threading.Thread] = []
 
     def start(self, connections: int) -> None:
@@ -192,17 +192,19 @@ class Pipeline:
 
     def _send(self, part: Part, signed: SignedPart) -> None:
         backoff = Backoff(PATIENCE_S, self._stop.wait)
-        refusals = 0
+        refusals, was_cut = 0, False
         while True:
-            if signed.expires_at <= datetime.datetime.now(datetime.timezone.utc):  # spares sending it in vain
+            if signed.expires_at <= self._uploads.now():  # spares sending it in vain
                 signed = self._uploads.sign([part.to_sign()]).items[0]
-            answer = self._put(part, signed)
+            with self._alone() if was_cut else contextlib.nullcontext():
+                answer = self._put(part, signed)
             if answer.answer is Answer.taken:
                 part.sending.record(part, answer.etag)
                 return
             if answer.answer is Answer.gone:
                 raise UploadGone(upload_id=str(part.sending.upload.id))
             if answer.answer is Answer.try_again:
+                was_cut = True
                 self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
                     raise self._gave_up(signed.url, part, answer)
@@ -212,6 +214,16 @@ class Pipeline:
                 if refusals >= _REFUSALS:
                     raise TransferFailed(path=part.sending.file.path, reason=answer.reason)
             signed = self._uploads.sign([part.to_sign()]).items[0]
+
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Let one part at a time be sent again: of a slow line cut once a minute, each has the most then."""
+        while not self._again.acquire(timeout=0.2):
+            self._stop.check()
+        try:
+            yield
+        finally:
+            self._again.release()
 
     def _put(self, part: Part, signed: SignedPart) -> PutAnswer:
         moved = [0]

@@ -37,10 +37,11 @@ class StoreUnavailable(KleinkramError):
 
 @dataclass(eq=False)
 class DatabaseUnavailable(KleinkramError):
-    """The database does not answer. Nothing was lost; try again in a moment."""
+    """The database cannot be used ({reason}). Nothing was lost; try again in a moment."""
 
     code = ErrorCode.database_unavailable
     status = 503
+    reason: str = "it does not answer"
 
 
 @dataclass(eq=False)
