@@ -57,7 +57,8 @@ async def create(settings: Settings, making: Making) -> Made:
         async with at_work(shelf, alone=False):
             repository = await make_repository(shelf, making.passphrase, sealed=making.sealed)
             try:
-                return await _create(settings, making, repository)
+                with contextlib.closing(_wanted_list()) as wanted:
+                    return await _create(settings, making, repository, wanted)
             except psycopg.Error as error:
                 reason = str(error).strip().partition("\n")[0]
                 raise Unreachable(
@@ -72,10 +73,9 @@ async def _begin(shelf: Shelf, making: Making) -> None:
             await make_repository(shelf, making.passphrase, sealed=making.sealed)
 
 
-async def _create(settings: Settings, making: Making, repository: Repository) -> Made:
+async def _create(settings: Settings, making: Making, repository: Repository, wanted: WantedList) -> Made:
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
-    tally, pace = Tally(), Pace(making.bytes_per_s)
-    wanted = _wanted_list()
+    tally = Tally()
 
     def so_far() -> str:
         done = f"{tally.objects} of {wanted.count} objects, {amount(tally.object_bytes)} of {amount(wanted.size_bytes)}"
@@ -84,7 +84,7 @@ async def _create(settings: Settings, making: Making, repository: Repository) ->
     async with holding_back(dsn) as hold, telling(so_far, quiet=making.quiet):
         async with one_moment(dsn) as connection:
             found = await facts(connection, settings.store_id)
-            started = datetime.datetime.now(datetime.timezone.utc)
+            created_at = datetime.datetime.now(datetime.timezone.utc)
             await wanted.fill(connection, settings.store_id, with_logs="log_segment" in found.tables)
             tables = [await copy_table(connection, repository, name, columns) for name, columns in found.tables.items()]
             counted = await sequences(connection)
@@ -94,7 +94,7 @@ async def _create(settings: Settings, making: Making, repository: Repository) ->
                 storage=storage,
                 repository=repository,
                 held=await repository.held(),
-                pace=pace,
+                pace=Pace(making.bytes_per_s),
                 tally=tally,
                 lister=lister,
                 is_still_named=lambda key: _is_still_named(dsn, key),
@@ -103,17 +103,17 @@ async def _create(settings: Settings, making: Making, repository: Repository) ->
             await side_by_side(wanted.groups(), copier.copy, making.at_once)
         hold.check()
         snapshot = Snapshot(
-            id=f"{started:%Y%m%dT%H%M%SZ}-{secrets.token_hex(3)}",
-            created_at=started,
+            id=f"{created_at:%Y%m%dT%H%M%SZ}-{secrets.token_hex(3)}",
+            created_at=created_at,
             ended_at=datetime.datetime.now(datetime.timezone.utc),
             kleinkram=kleinkram.__version__,
+            postgres=found.postgres,
+            revision=found.revision,
             store_id=settings.store_id,
+            elsewhere=found.elsewhere,
             tables=tuple(tables),
             sequences=counted,
             objects=await lister.end(),
-            postgres=found.postgres,
-            revision=found.revision,
-            elsewhere=found.elsewhere,
         )
         await repository.put_snapshot(snapshot)
     return Made(snapshot, tally)

@@ -147,9 +147,13 @@ class WantedList:
     """All objects that the database named, in a file without a name: those of one content stand together."""
 
     def __init__(self) -> None:
-        self._file: IO[bytes] = tempfile.TemporaryFile(prefix="klein-backup-")  # noqa: SIM115  (closed with the process)
+        self._file: IO[bytes] = tempfile.TemporaryFile(prefix="klein-backup-")  # noqa: SIM115  (`close`)
         self.count = 0
         self.size_bytes = 0
+
+    def close(self) -> None:
+        """Forget it."""
+        self._file.close()
 
     async def fill(self, connection: Reading, store_id: str, *, with_logs: bool) -> None:
         """Ask the database."""

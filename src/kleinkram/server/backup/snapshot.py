@@ -42,7 +42,7 @@ class ObjectEntry(_Noun):
 
     key: str
     size_bytes: int
-    sha256: Sha256 | None
+    sha256: Sha256 | None = None
     expected: Sha256 | None = None
     problem: Problem | None = None
 

@@ -1,0 +1,41 @@
+"""One site with all kinds of things in it, backed up by all tests here, and changed by none."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.integration.backup.sites import Sites
+from tests.integration.conftest import Starting
+from tests.integration.jobs import run_jobs
+from tests.integration.running import Api
+from tests.integration.uploading import begin, send, upload
+from tests.stack import RunningPostgres, RunningStore
+
+LARGE = bytes(range(256)) * 40_000  # more than one part, and than one frame of a sealed file
+
+
+@pytest.fixture(scope="package")
+def lived_in(starting: Starting) -> Iterator[Api]:
+    """A site with files, twins, trash, an upload under way, a token and a group."""
+    with starting() as start:
+        api = start(prove_again_days=0)
+        project = api.project()
+        mission = api.mission(project["id"])["id"]
+        upload(api, mission, "large.bin", LARGE)
+        upload(api, mission, "small.bin", b"small")
+        upload(api, mission, "twin.bin", b"small")
+        gone = upload(api, mission, "gone.bin", b"in the trash")
+        run_jobs(api)
+        api.delete(f"/files/{gone['id']}").ok()
+        half = LARGE[::-1]
+        [under_way] = begin(api, mission, {"half.bin": half})
+        send(api, under_way["upload"], half, only=[1])
+        api.post("/tokens", {"name": "robot"}).ok(201)
+        api.post("/groups", {"name": "lab"}).ok(201)
+        yield api
+
+
+@pytest.fixture(scope="package")
+def sites(postgres: RunningPostgres, store: RunningStore) -> Sites:
+    """Empty sites."""
+    return Sites(postgres, store)

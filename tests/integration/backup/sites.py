@@ -1,0 +1,144 @@
+"""A site that is backed up and an empty one to restore into, without processes of their own; and looks at both."""
+
+import asyncio
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import psycopg
+
+from kleinkram.server.backup.creating import Made, Making, create
+from kleinkram.server.backup.restoring import Restored, Wish, restore
+from kleinkram.server.backup.verifying import Looking, Verified, verify
+from kleinkram.server.settings import Settings, plain_dsn
+from kleinkram.server.storage import Storage, open_storage
+from tests.integration.running import Api
+from tests.stack import RunningPostgres, RunningStore
+
+# What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
+ANEW = {
+    "blob": ("state", "state_reason", "damaged_at"),
+    "upload": ("state", "completing_since"),
+    "run": ("lease_ends_at",),
+}
+LEFT = {"alembic_version", "store_probe"}
+_TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
+
+
+def back_up(settings: Settings, place: object, **more: Any) -> Made:
+    """Make a backup."""
+    making = Making(str(place), sealed=False, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
+    return asyncio.run(create(settings, replace(making, **more)))
+
+
+def look(place: object, **more: Any) -> Verified:
+    """Verify backups, by every byte unless told otherwise."""
+    looking = Looking(
+        str(place), passphrase=None, snapshot_id=None, read_all=True, bytes_per_s=None, at_once=4, quiet=True
+    )
+    return asyncio.run(verify(replace(looking, **more)))
+
+
+def fill(settings: Settings, place: object, **more: Any) -> Restored:
+    """Restore a backup."""
+    wish = Wish(str(place), snapshot_id=None, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
+    return asyncio.run(restore(settings, replace(wish, **more)))
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Where empty sites come from."""
+
+    postgres: RunningPostgres
+    store: RunningStore
+
+    @contextmanager
+    def empty(self) -> Iterator[Settings]:
+        """A database without tables, and a bucket without objects."""
+        name = self.postgres.create_database()
+        given: dict[str, Any] = {
+            "database_url": self.postgres.serve_url(name),
+            "migration_database_url": self.postgres.migrate_url(name),
+            "s3_internal_url": self.store.endpoint,
+            "s3_bucket": self.store.create_bucket(),
+            "s3_access_key": self.store.access_key,
+            "s3_secret_key": self.store.secret_key,
+        }
+        try:
+            yield Settings(**given)
+        finally:
+            self.postgres.drop_database(name)
+
+
+def settings_of(api: Api) -> Settings:
+    """The settings that an API runs with."""
+    settings: Settings = api.app.state.settings
+    return settings
+
+
+def rows(settings: Settings) -> dict[str, list[str]]:
+    """All rows of all tables, sorted, but for what a restored site says anew."""
+    found: dict[str, list[str]] = {}
+    dsn = plain_dsn(settings.migration_database_url or settings.database_url)
+    with psycopg.connect(dsn) as database:
+        for (table,) in database.execute(_TABLES).fetchall():
+            if table not in LEFT:
+                selected = database.execute(f"SELECT to_jsonb(t) FROM {table} t").fetchall()
+                found[table] = sorted(json.dumps(_old(table, row), sort_keys=True) for (row,) in selected)
+    return found
+
+
+def _old(table: str, row: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name not in ANEW.get(table, ())}
+
+
+def contents(settings: Settings) -> dict[str, str]:
+    """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
+    dsn = plain_dsn(settings.migration_database_url or settings.database_url)
+    with psycopg.connect(dsn) as database:
+        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_segment").fetchall()]
+    return asyncio.run(_contents(settings, keys))
+
+
+async def _contents(settings: Settings, keys: list[str]) -> dict[str, str]:
+    async with open_storage(settings) as storage:
+        return {key: await _content(storage, key) for key in keys}
+
+
+async def _content(storage: Storage, key: str) -> str:
+    digest = hashlib.sha256()
+    try:
+        async for piece in storage.read(key):
+            digest.update(piece)
+    except FileNotFoundError:
+        return "lost"
+    return digest.hexdigest()
+
+
+def delete_object(settings: Settings, key: str) -> None:
+    """Let the store lose an object."""
+
+    async def go() -> None:
+        async with open_storage(settings) as storage:
+            await storage.delete(key)
+
+    asyncio.run(go())
+
+
+def write_object(settings: Settings, key: str, body: bytes) -> None:
+    """Let the store hold other bytes under a key."""
+
+    async def go() -> None:
+        async with open_storage(settings) as storage:
+            await storage.put_small(key, body)
+
+    asyncio.run(go())
+
+
+def content_files(place: Path) -> list[Path]:
+    """The files of a repository that hold contents, the largest last."""
+    return sorted(place.glob("data/*/*"), key=lambda path: path.stat().st_size)
