@@ -44,12 +44,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _migrate(settings: Settings) -> None:
-    from alembic import command
-
-    from kleinkram.server.migrations import alembic_config
+    from kleinkram.server.migrations.upgrading import MigrationBlocked, migrate
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
-    command.upgrade(alembic_config(url, settings.serving_role), "head")
+    try:
+        migrate(url, settings.serving_role)
+    except MigrationBlocked as blocked:
+        sys.exit(str(blocked))
 
 
 def _work(settings: Settings) -> None:

@@ -3,10 +3,8 @@
 from alembic import context
 from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
+from kleinkram.server.migrations.upgrading import LOCK
 from kleinkram.server.tables import metadata
-
-# Any number that nobody else in this database uses: two migrators wait for each other on it.
-_LOCK = 0x6B6C65696E
 
 
 def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
@@ -20,7 +18,7 @@ def _migrate(connection: Connection) -> None:
         connection=connection, target_metadata=metadata, include_object=_ours, compare_server_default=True
     )
     with context.begin_transaction():
-        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
         context.run_migrations()
 
 

@@ -186,7 +186,10 @@ def upgrade() -> None:
     op.create_index("ix_project_public", "project", ["id"], unique=False, postgresql_where=sa.text("is_public"))
     op.add_column("token", sa.Column("kind", sa.Text(), server_default="personal", nullable=False))
     op.add_column("token", sa.Column("prefix", sa.Text(), server_default="", nullable=False))
-    op.add_column("token", sa.Column("scopes", sa.ARRAY(sa.Text()), nullable=False))
+    op.add_column("token", sa.Column("scopes", sa.ARRAY(sa.Text()), nullable=True))
+    # Those that were made before there were scopes were good for everything.
+    op.execute("UPDATE token SET scopes = '{admin}'")
+    op.alter_column("token", "scopes", nullable=False)
     op.add_column("token", sa.Column("is_limited", sa.Boolean(), server_default=sa.text("false"), nullable=False))
     op.add_column("token", sa.Column("expires_at", sa.DateTime(timezone=True), nullable=True))
     op.add_column("token", sa.Column("last_used_at", sa.DateTime(timezone=True), nullable=True))
