@@ -8,6 +8,7 @@ Source: Amazon S3 API Reference; errors as in its "Error responses".
 
 import asyncio
 import contextlib
+import io
 import random
 import ssl
 from collections.abc import AsyncGenerator, AsyncIterator, Mapping
@@ -165,7 +166,7 @@ class S3:
             question.method,
             URL(url, encoded=True),
             headers=question.headers,
-            data=question.body or None,
+            data=io.BytesIO(question.body) if question.body else None,
             allow_redirects=False,
         )
 
