@@ -44,6 +44,7 @@ class Terminal:
 
     home: Path
     environment: dict[str, str]
+    prefix: tuple[str, ...] = ()  # what its commands run inside of
 
     def run(self, *arguments: object, code: int | None = 0, stdin: str = "") -> Ran:
         """Run a command to its end and check its exit code, unless that is None."""
@@ -62,7 +63,7 @@ class Terminal:
 
     def command(self, *arguments: object) -> list[str]:
         """The command line."""
-        return [str(KLEIN), *(str(argument) for argument in arguments)]
+        return [*self.prefix, str(KLEIN), *(str(argument) for argument in arguments)]
 
     def journals(self) -> list[Path]:
         """The journals of uploads that have not ended."""

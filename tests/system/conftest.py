@@ -22,19 +22,11 @@ class OtherMachine:
 
     def terminal(self, home: Path, **more: str) -> Terminal:
         """A person at that machine, who has never used Kleinkram."""
-        return _RemoteTerminal(home, environment(home, **more), tuple(self.command()))
+        return Terminal(home, environment(home, **more), tuple(self.command()))
 
     def command(self, *arguments: str) -> list[str]:
         """The command line that runs a program over there."""
         return ["ip", "netns", "exec", self.name, *arguments]
-
-
-@dataclass(frozen=True)
-class _RemoteTerminal(Terminal):
-    prefix: tuple[str, ...] = ()
-
-    def command(self, *arguments: object) -> list[str]:
-        return [*self.prefix, *super().command(*arguments)]
 
 
 @pytest.fixture(scope="session")

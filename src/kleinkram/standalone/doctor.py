@@ -15,6 +15,7 @@ from kleinkram.standalone import health
 from kleinkram.standalone.binaries import locate_postgres, locate_weed
 from kleinkram.standalone.data_dir import DataDir, is_held, load_ports, read_holder, refuse_newer
 from kleinkram.standalone.errors import StandaloneError
+from kleinkram.standalone.parts import last_complaint
 from kleinkram.standalone.procs import listener, start_ticks
 
 LOW_DISK_BYTES = 5 * 1024**3
@@ -71,7 +72,9 @@ def _running(data_dir: DataDir, instance: Instance) -> Iterator[Finding]:
     for name, pid in instance["parts"].items():
         alive = pid is not None and start_ticks(pid) is not None
         remedy = "" if alive else f"It is started again by itself; if that goes on, see {data_dir.log(name)}."
-        yield Finding(f"part {name}", alive, f"Runs (pid {pid})." if alive else "Is not running.", remedy)
+        why = "" if alive or name != "postgres" else last_complaint(data_dir.log(name))
+        ill = f"Is not running: {why}." if why else "Is not running."
+        yield Finding(f"part {name}", alive, f"Runs (pid {pid})." if alive else ill, remedy)
     yield from _api(data_dir, instance)
     yield from _store(data_dir, instance)
 
@@ -190,11 +193,21 @@ def _token(data_dir: DataDir) -> Iterator[Finding]:
 
 
 def _disk(data_dir: DataDir) -> Iterator[Finding]:
-    usage = shutil.disk_usage(data_dir.root)
+    """Look at the disk of the data directory, and at that of the database where it has one of its own."""
+    yield from _room("disk", data_dir.root)
+    if data_dir.postgres.exists() and data_dir.postgres.stat().st_dev != data_dir.root.stat().st_dev:
+        yield from _room("disk of the database", data_dir.postgres)
+
+
+def _room(check: str, folder: Path) -> Iterator[Finding]:
+    usage = shutil.disk_usage(folder)
     low = usage.free < LOW_DISK_BYTES or usage.free < usage.total * LOW_DISK_SHARE
     message = f"{usage.free / 1e9:.1f} GB free of {usage.total / 1e9:.0f} GB."
-    remedy = "Free some: below 1 % the store takes no more uploads. `klein stats` shows what is large." if low else ""
-    yield Finding("disk", not low, message, remedy)
+    remedy = (
+        "Free some: below 1 % the store takes no more uploads, and without any the database stops until there is some. "
+        "`klein stats` shows what is large."
+    )
+    yield Finding(check, not low, message, remedy if low else "")
 
 
 def _read_instance(data_dir: DataDir) -> Instance | None:

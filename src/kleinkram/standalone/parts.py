@@ -13,6 +13,9 @@ from kleinkram.standalone.child import end_group, stop
 LOG_LIMIT_BYTES = 10 * 1024 * 1024
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 30.0
 _STEADY_S = 60.0
+# Source: PostgreSQL, "Message Severity Levels"; what it says to clients while it starts, stops or has crashed.
+_LAST_WORDS = ("PANIC:", "FATAL:")
+_REFUSALS = ("the database system is", "terminating ")
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,20 @@ def bound_log(log: Path, *, limit_bytes: int = LOG_LIMIT_BYTES) -> None:
     shutil.copyfile(log, log.with_suffix(".log.1"))
     with log.open("r+b") as file:
         file.truncate(0)
+
+
+def last_complaint(log: Path) -> str:
+    """PostgreSQL's last word on why it could not go on, for a message; empty where there is none in the log's end."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - 16_384))
+            lines = file.read().decode(errors="replace").splitlines()
+    except FileNotFoundError:
+        return ""
+    said = [line.partition(word) for line in lines for word in _LAST_WORDS if word in line]
+    # What it was asked meanwhile it refuses in the same tone.
+    why = [rest.strip() for _, word, rest in said if not (word == "FATAL:" and rest.strip().startswith(_REFUSALS))]
+    return why[-1][:300] if why else ""
 
 
 def last_line(log: Path) -> str:

@@ -28,7 +28,7 @@ from kleinkram.standalone.data_dir import (
 from kleinkram.standalone.errors import PartFailed, StandaloneError
 from kleinkram.standalone.greeting import greeting, invitation
 from kleinkram.standalone.leftovers import end_leftovers
-from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_line, launch
+from kleinkram.standalone.parts import Part, RunningPart, bound_log, last_complaint, last_line, launch
 from kleinkram.standalone.plan import Plan, UpOptions, make_plan
 
 _START_TIMEOUT_S = 120.0
@@ -252,7 +252,9 @@ class Supervisor:
         name = running.part.name
         if running.start_again_at is None and (ending := running.ending()):
             pause = running.schedule()
-            _say(f"{name} has ended ({ending}); starting it again in {pause:.1f} s; log: {running.part.log}")
+            why = last_complaint(running.part.log) if name == "postgres" and running.failures > 1 else ""
+            said = f"; it said: {why}" if why else ""
+            _say(f"{name} has ended ({ending}){said}; starting it again in {pause:.1f} s; log: {running.part.log}")
             self._tell()
             return
         try:

@@ -116,7 +116,7 @@ class Fetching:
             try:
                 written = os.pwrite(self._handle, view, offset)
             except OSError as error:
-                raise DiskFull(path=str(self.target), reason=error.strerror or str(error)) from None
+                raise self._no_room(error) from None
             view, offset = view[written:], offset + written
 
     def arrived(self, number: int, size_bytes: int) -> None:
@@ -158,6 +158,7 @@ class Fetching:
         Raises:
             VerifyFailed: the bytes are not the promised ones; they are removed.
             DestinationDiffers: something has come to be at the target meanwhile.
+            DiskFull: there is no room.
         """
         with self._hashing:
             while self._hashed_to < self.size_bytes:
@@ -168,7 +169,10 @@ class Fetching:
             kind = "sha256" if self.link.sha256 else "crc64nvme"
             reason = f"their {kind} is {self._checksum.hexdigest()}, and {expected} was expected"
             raise VerifyFailed(path=self.link.path, reason=reason)
-        os.fsync(self._handle)
+        try:
+            os.fsync(self._handle)
+        except OSError as error:
+            raise self._no_room(error) from None
         if not self._overwrite and regular_size(self.target) is not None:
             raise DestinationDiffers(path=str(self.target))
         try:
@@ -191,7 +195,13 @@ class Fetching:
 
     def _write_down(self, line: BaseModel) -> None:
         if self._journal >= 0:
-            os.write(self._journal, line.model_dump_json().encode() + b"\n")
+            try:
+                os.write(self._journal, line.model_dump_json().encode() + b"\n")
+            except OSError as error:
+                raise self._no_room(error) from None
+
+    def _no_room(self, error: OSError) -> DiskFull:
+        return DiskFull(path=str(self.target), reason=error.strerror or str(error))
 
 
 def _begin_to_write(handle: int, offset: int, length: int) -> None:

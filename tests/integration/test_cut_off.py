@@ -1,0 +1,118 @@
+"""Behind a proxy that ends every connection after a while, and over a slow line: transfers and streams go on.
+
+The proxy's minute is a second and a half here, and the line as much faster: of four parts that share it none gets
+through before the cut, of parts that are sent alone each does.
+"""
+
+import os
+import threading
+import uuid
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client import Client, connect
+from kleinkram.client.transfer import download, plan_download, plan_upload, upload
+from kleinkram.contract.events import Change
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.rights import Scope, TokenKind
+from tests.integration import people
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Played, launch
+from tests.integration.uploading import upload as upload_one
+from tests.integration.uploading import wait_until
+from tests.stack import RunningStore
+from tests.system.rig.cutting import Cutter, cutting
+
+pytestmark = pytest.mark.slow
+_AFTER_S = 1.5
+_MIB = 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Behind:
+    """A server and a store behind such proxies, and a program that reaches them through these."""
+
+    api: Api
+    client: Client
+    to_api: Cutter
+    to_store: Cutter
+
+
+@pytest.fixture(scope="module")
+def behind(start_api: StartApi, store: RunningStore) -> Iterator[Behind]:
+    """A program behind such proxies."""
+    with cutting(store.endpoint, after_s=_AFTER_S, bytes_per_s=12 * _MIB) as to_store:
+        api = start_api(s3_public_url=to_store.url)
+        with cutting(api.url, after_s=_AFTER_S) as to_api, closing(connect(to_api.url, api.token)) as client:
+            yield Behind(api, client, to_api, to_store)
+
+
+def test_uploads_and_downloads_arrive(behind: Behind, tmp_path: Path) -> None:
+    file = tmp_path / "large.bin"
+    file.write_bytes(os.urandom(32 * _MIB + 5))
+    os.utime(file, (1_700_000_000, 1_700_000_000))
+    mission_id = uuid.UUID(behind.api.mission(behind.api.project()["id"])["id"])
+    (sent,) = upload(behind.client, mission_id, plan_upload([file])).results
+    assert sent.outcome.value == "uploaded"
+    assert behind.to_store.cuts > 0, "the cut fell into the upload"
+    before = behind.to_store.cuts
+    plan = plan_download(behind.client.files.list(FileFilter(mission_id=mission_id)), tmp_path / "back")
+    (came,) = download(behind.client, plan).results
+    assert (came.outcome.value, came.local.read_bytes()) == ("downloaded", file.read_bytes())
+    assert behind.to_store.cuts > before, "and into the download"
+
+
+def test_who_follows_events_hears_of_all(behind: Behind) -> None:
+    heard: list[str] = []
+
+    def follow() -> None:
+        for each in behind.client.events.follow(for_s=40):
+            heard.extend([str(each.id)] if isinstance(each, Change) else [])
+            if heard[-1:] == made[2:]:
+                return
+
+    made: list[str] = []
+    follower = threading.Thread(target=follow, name="follower")
+    follower.start()
+    wait_until(lambda: len(behind.api.app.state.hub._listeners) == 1)
+    for _ in range(3):
+        cuts = behind.to_api.cuts
+        made.append(behind.api.project()["id"])
+        wait_until(lambda cuts=cuts: len(made) == 3 or behind.to_api.cuts > cuts)  # type: ignore[misc]  # as it is now
+    follower.join(40)
+    assert not follower.is_alive()
+    assert set(heard) >= set(made)
+
+
+def test_who_follows_a_log_reads_all_of_it(behind: Behind) -> None:
+    api = behind.api
+    admin = people.person(api, admin=True)
+    runner = Played(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))
+    runner.hello()
+    mission = api.mission(api.project()["id"])
+    upload_one(api, mission["id"], "notes.txt", b"notes")
+    run = launch(api, runner, mission)
+    claim = runner.claim()
+    runner.beat(claim)
+    read: list[str] = []
+
+    def follow() -> None:
+        read.extend(piece.text for piece in behind.client.runs.log(run["id"], follow=True))
+
+    follower = threading.Thread(target=follow, name="follower")
+    follower.start()
+    offset = 0
+    for number in range(3):
+        cuts = behind.to_api.cuts
+        line = f"line {number}\n".encode()
+        runner.write(claim, offset, line)
+        offset += len(line)
+        wait_until(lambda cuts=cuts: behind.to_api.cuts > cuts)  # type: ignore[misc]  # bound as it is now
+    runner.finish(claim).ok()
+    follower.join(30)
+    assert "".join(read) == "line 0\nline 1\nline 2\n"

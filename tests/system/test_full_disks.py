@@ -1,0 +1,151 @@
+"""Disks that fill up, at the client and at the database: it is said where and why, nothing lies, and work goes on."""
+
+import filecmp
+import json
+import os
+import secrets
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import psycopg
+import pytest
+
+from kleinkram.client import Client, connect
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.standalone.data_dir import DataDir, load_secrets
+from kleinkram.standalone.postgres import ADMIN
+from tests.acceptance.conftest import end, wait_until
+from tests.system import behind
+from tests.system.house import House
+from tests.system.rig.disks import MIB, SmallDisk, need_small_disks, small_disk
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+# An empty cluster takes 60 MB of it, with the two segments of WAL that it keeps.
+_DATABASE_MB = 160
+_EXIT_UNREACHABLE, _EXIT_DESTINATION = 7, 11
+
+
+@pytest.fixture(scope="module")
+def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[House, SmallDisk]]:
+    """A Kleinkram whose database has a small disk of its own."""
+    need_small_disks()
+    house = House(tmp_path_factory.mktemp("house"))
+    house.start()
+    house.terminal.run("project", "create", "p")
+    house.end()
+    with small_disk(house.data_dir / "postgres", _DATABASE_MB * MIB) as disk:
+        house.inside = disk.inside
+        house.start()
+        yield house, disk
+        house.end()
+
+
+def _file(path: Path, size_bytes: int) -> Path:
+    path.write_bytes(os.urandom(size_bytes))
+    os.utime(path, (1_700_000_000, 1_700_000_000))
+    return path
+
+
+def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
+    disk: tuple[House, SmallDisk], tmp_path: Path
+) -> None:
+    terminal, size_bytes = disk[0].terminal, 40 * MIB
+    file = _file(tmp_path / "large.bin", size_bytes)
+    terminal.run("upload", "-p", "p", "-m", "there", "--create", file)
+    back = tmp_path / "back"
+    back.mkdir()
+    download = ["download", "-p", "p", "-m", "there", "--dest", back]
+    with small_disk(back, 30 * MIB) as too_small:
+        refused = replace(terminal, prefix=too_small.inside).run(*download, code=_EXIT_DESTINATION).err
+        assert f"{size_bytes} bytes are needed and {30 * MIB} are free" in refused
+        assert not too_small.path("large.bin.klein-part").exists(), "nothing was begun"
+    with small_disk(back, 60 * MIB) as filling:
+        inside = replace(terminal, prefix=filling.inside)
+        process = inside.start(*download, "--limit-rate", "20MiB")
+        wait_until(filling.path("large.bin.klein-journal").exists, "the download to begin")
+        filling.fill()
+        ended = end(process)
+        assert ended.code == _EXIT_DESTINATION, ended.err
+        assert "There is no room for" in ended.err
+        assert "run the same command again" in ended.err
+        assert not filling.path("large.bin").exists(), "what is not whole has no name"
+        filling.make_room()
+        (came,) = inside.run(*download, "--json").json()["items"]
+        assert came["outcome"] == "downloaded"
+        assert filecmp.cmp(file, filling.path("large.bin"), shallow=False)
+
+
+def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
+    disk: tuple[House, SmallDisk], tmp_path: Path
+) -> None:
+    house, small = disk
+    terminal = house.terminal
+    kept = _file(tmp_path / "kept.bin", 9 * MIB)
+    terminal.run("upload", "-p", "p", "-m", "m", "--create", kept)
+    with _administrator(house) as administrator:
+        small.fill()
+        _fill_a_table(house)
+        terminal.run("verify", "-p", "p", "-m", "m", kept)  # what is there can be read
+        with pytest.raises(psycopg.OperationalError):
+            _fill_the_log(administrator)
+    wait_until(lambda: _postgres_complains(house), "the supervisor to say why PostgreSQL does not start")
+    findings = {each["check"]: each for each in _doctor(house, small)}
+    assert "No space left on device" in findings["part postgres"]["message"]
+    assert "without any the database stops until there is some" in findings["disk of the database"]["remedy"]
+    assert not findings["disk of the database"]["ok"]
+    coming = _file(tmp_path / "coming.bin", 9 * MIB)
+    unanswered = terminal.run("project", "list", code=_EXIT_UNREACHABLE).err
+    assert "The database cannot be used" in unanswered
+    small.make_room()
+    wait_until(lambda: terminal.run("project", "list", code=None).code == 0, "the database to be back")
+    terminal.run("upload", "-p", "p", "-m", "m", coming)
+    terminal.run("verify", "-p", "p", "-m", "m", kept, coming)
+    behind.tidy(house)
+    assert behind.objects(house) == dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
+
+
+def _fill_a_table(house: House) -> None:
+    """Make missions until there is no room for their rows, and see what is said then."""
+    token = (house.data_dir / "owner-token").read_text().strip()
+    with connect(house.told()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
+        _make_missions(client)
+    assert "its disk is full: whoever runs the server has to make room on it" in str(refused.value)
+    assert "Nothing was lost" in str(refused.value)
+
+
+def _make_missions(client: Client) -> None:
+    project_id = client.projects.get("p").id
+    for number in range(200):
+        client.missions.create(f"m{number}", project_id=project_id, notes=secrets.token_hex(4000))
+
+
+def _administrator(house: House) -> "psycopg.Connection[tuple[object, ...]]":
+    return psycopg.connect(
+        host="127.0.0.1",
+        port=house.told()["ports"]["postgres"],
+        user=ADMIN,
+        password=load_secrets(DataDir(house.data_dir)).postgres_admin,
+        dbname="postgres",
+        autocommit=True,
+    )
+
+
+def _fill_the_log(administrator: "psycopg.Connection[tuple[object, ...]]") -> None:
+    """Have PostgreSQL begin new segments of its log until there is no room for one."""
+    for _ in range(20):
+        administrator.execute("SELECT pg_logical_emit_message(false, 'w', 'x'), pg_switch_wal()")
+
+
+def _postgres_complains(house: House) -> bool:
+    said = (house.home / "up.err").read_text()
+    return "postgres has ended" in said and "No space left on device; starting it again in" in said
+
+
+def _doctor(house: House, small: SmallDisk) -> list[dict[str, str]]:
+    command = [*small.inside, *house.terminal.command("doctor", "--data-dir", house.data_dir, "--json")]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=house.terminal.environment)
+    found: list[dict[str, str]] = json.loads(done.stdout)["checks"]
+    return found
