@@ -171,7 +171,8 @@ def _version(data_dir: DataDir) -> Iterator[Finding]:
             "database version",
             False,
             f"The database was made by PostgreSQL {made_by}, the programs found are another version's.",
-            f"Name a folder with programs of version {made_by} in KLEINKRAM_POSTGRES_BIN.",
+            f"Name a folder with programs of version {made_by} in KLEINKRAM_POSTGRES_BIN; to move on, make a backup by "
+            "them (`klein backup create`), and restore it with this version into a new folder (`klein restore`).",
         )
 
 

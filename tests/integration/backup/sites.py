@@ -88,12 +88,13 @@ def rows(settings: Settings) -> dict[str, list[str]]:
         for (table,) in database.execute(_TABLES).fetchall():
             if table not in LEFT:
                 selected = database.execute(f"SELECT to_jsonb(t) FROM {table} t").fetchall()
-                found[table] = sorted(json.dumps(_old(table, row), sort_keys=True) for (row,) in selected)
+                found[table] = sorted(as_kept(table, row) for (row,) in selected)
     return found
 
 
-def _old(table: str, row: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in row.items() if name not in ANEW.get(table, ())}
+def as_kept(table: str, row: dict[str, Any]) -> str:
+    """A row as text, but for what a restored site says anew."""
+    return json.dumps({name: value for name, value in row.items() if name not in ANEW.get(table, ())}, sort_keys=True)
 
 
 def contents(settings: Settings) -> dict[str, str]:

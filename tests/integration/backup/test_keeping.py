@@ -72,6 +72,7 @@ def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
     assert largest.exists()
 
 
+@pytest.mark.slow
 def test_what_is_sealed_tells_nothing_and_comes_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
     source = settings_of(lived_in)
     with pytest.raises(CannotBeMeant, match="needs a passphrase"):
@@ -125,6 +126,7 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     assert (found.snapshots, found.damage, found.unused) == (1, [], 0)
 
 
+@pytest.mark.slow
 def test_a_bucket_keeps_backups_too(
     lived_in: Api, sites: Sites, store: RunningStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,7 +139,7 @@ def test_a_bucket_keeps_backups_too(
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_SECRET_KEY", store.secret_key)
     with pytest.raises(NothingThere):
         look(place)
-    assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 3
+    assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 7
     assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 0
     assert asyncio.run(forget(place, "p", keep=1)).kept
     found = look(place, passphrase="p")

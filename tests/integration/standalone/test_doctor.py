@@ -79,7 +79,10 @@ def test_a_database_of_another_postgres_is_refused(shared_instance: Instance) ->
     version.write_text(before)
     assert "was made by PostgreSQL 14" in said
     assert "KLEINKRAM_POSTGRES_BIN" in said
+    assert f"`klein backup create BACKUPS --data-dir {shared_instance.data_dir}`" in said
+    assert "`klein restore BACKUPS --data-dir NEW`" in said
     assert "PostgreSQL 14" in problems["database version"]
+    assert "klein restore" in problems["database version"]
     assert shared_instance.processes == []
 
 

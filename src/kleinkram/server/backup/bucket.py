@@ -144,7 +144,7 @@ class BucketShelf:
         try:
             yield
         except S3Error as error:
-            if error.status == 404 and error.code != "NoSuchBucket":
+            if error.status == 404 and what != "write" and error.code != "NoSuchBucket":
                 raise FileNotFoundError(self._name) from None
             kind = CannotWrite if what == "write" and error.code in _REFUSED else Unreachable
             raise kind(f"{self._name} would not {what}: {error.code}: {error.words or 'no reason given'}.") from error

@@ -34,6 +34,10 @@ class _Differs(Exception):
         self.sha256, self.size_bytes = sha256, size_bytes
 
 
+class _Gone(Exception):
+    """The store has no such object: not to be taken for a place that has lost a folder."""
+
+
 @dataclass
 class Tally:
     """What has been done so far. `copied`: contents that were not there before."""
@@ -128,7 +132,7 @@ class Copier:
             except _Differs as actual:
                 sha256 = await self._keep(wanted.key, actual.sha256, actual.size_bytes)
                 return sha256, "corrupt" if wanted.sha256 is not None else None
-        except FileNotFoundError:
+        except _Gone:
             return None, "lost"
         except (_Differs, StoreUnavailable):  # another content each time it is read, or none
             return None, "unreadable"
@@ -155,7 +159,7 @@ class Copier:
 
     async def _verified(self, key: str, sha256: bytes, size_bytes: int) -> AsyncGenerator[bytes, None]:
         digest, count = hashlib.sha256(), 0
-        async with aclosing(self.storage.read(key)) as pieces:
+        async with aclosing(self._read(key)) as pieces:
             async for piece in self.pace.slowed(pieces):
                 count += len(piece)
                 if len(piece) > 65_536:
@@ -168,11 +172,19 @@ class Copier:
 
     async def _hash(self, key: str) -> tuple[bytes, int]:
         digest, count = hashlib.sha256(), 0
-        async with aclosing(self.storage.read(key)) as pieces:
+        async with aclosing(self._read(key)) as pieces:
             async for piece in pieces:
                 digest.update(piece)
                 count += len(piece)
         return digest.digest(), count
+
+    async def _read(self, key: str) -> AsyncGenerator[bytes, None]:
+        try:
+            async with aclosing(self.storage.read(key)) as pieces:
+                async for piece in pieces:
+                    yield piece
+        except FileNotFoundError:
+            raise _Gone from None
 
     async def _wait_for_store(self) -> None:
         """Return once the store answers.

@@ -8,6 +8,7 @@ import contextlib
 import datetime
 import secrets
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import psycopg
@@ -57,7 +58,9 @@ async def create(settings: Settings, making: Making) -> Made:
         async with at_work(shelf, alone=False):
             repository = await make_repository(shelf, making.passphrase, sealed=making.sealed)
             try:
-                with contextlib.closing(_wanted_list()) as wanted:
+                with _room_for_list():
+                    listed = WantedList()
+                with contextlib.closing(listed) as wanted:
                     return await _create(settings, making, repository, wanted)
             except psycopg.Error as error:
                 reason = str(error).strip().partition("\n")[0]
@@ -85,7 +88,8 @@ async def _create(settings: Settings, making: Making, repository: Repository, wa
         async with one_moment(dsn) as connection:
             found = await facts(connection, settings.store_id)
             created_at = datetime.datetime.now(datetime.timezone.utc)
-            await wanted.fill(connection, settings.store_id, with_logs="log_segment" in found.tables)
+            with _room_for_list():
+                await wanted.fill(connection, settings.store_id, with_logs="log_segment" in found.tables)
             tables = [await copy_table(connection, repository, name, columns) for name, columns in found.tables.items()]
             counted = await sequences(connection)
         lister = Lister(repository, tally)
@@ -119,11 +123,14 @@ async def _create(settings: Settings, making: Making, repository: Repository, wa
     return Made(snapshot, tally)
 
 
-def _wanted_list() -> WantedList:
+@contextlib.contextmanager
+def _room_for_list() -> Iterator[None]:
     try:
-        return WantedList()
+        yield
     except OSError as error:
-        raise CannotWrite(f"{tempfile.gettempdir()} takes no temporary file: {error.strerror}.") from error
+        raise CannotWrite(
+            f"{tempfile.gettempdir()} takes no temporary file ({error.strerror}): make room, or set TMPDIR."
+        ) from error
 
 
 async def _is_still_named(dsn: str, key: str) -> bool:

@@ -14,7 +14,7 @@ from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from kleinkram.server.backup.failing import CannotWrite, InTheWay
+from kleinkram.server.backup.failing import BackupError, CannotWrite, InTheWay, Unreachable
 from kleinkram.server.backup.shelf import FolderShelf, Shelf
 
 _NOTES = "locks/"
@@ -73,6 +73,8 @@ async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
     await shelf.put(own, _empty(), 0)
     try:
         notes = {item.path: item.at async for item in shelf.listed(_NOTES)}
+        if own not in notes:
+            raise Unreachable(f"{shelf.name} does not list what was just written there: it cannot hold backups.")
         others = [path for path, at in notes.items() if path != own and notes[own] - at < _STALE_S]
         if (alone and others) or any(path.startswith(f"{_NOTES}alone-") for path in others):
             raise InTheWay(_busy(shelf.name))
@@ -91,7 +93,8 @@ async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
 async def _renew(shelf: Shelf, own: str) -> None:
     while True:
         await asyncio.sleep(_RENEWED_EVERY_S)
-        await shelf.put(own, _empty(), 0)
+        with contextlib.suppress(BackupError):  # a place that stays away ends the work itself
+            await shelf.put(own, _empty(), 0)
 
 
 async def _empty() -> AsyncGenerator[bytes, None]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from kleinkram.server.backup.failing import CannotWrite
+from kleinkram.server.backup.failing import CannotWrite, Damaged
 
 PIECE_BYTES = 1024 * 1024
 _UNFINISHED = "unfinished"
@@ -151,6 +151,8 @@ class FolderShelf:
         except FileNotFoundError:
             raise
         except OSError as error:
+            if error.errno == errno.EIO:  # a bad spot of the disk costs the file that lies on it
+                raise Damaged(f"A file in {self._root} cannot be read back or written: {error.strerror}.") from error
             if error.errno in _FULL:
                 raise CannotWrite(
                     f"{self._root} is full: make room (`klein backup forget` drops old backups), then run it again; "
