@@ -2,6 +2,7 @@
 
 import asyncio
 import datetime
+from email.utils import format_datetime
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
@@ -9,7 +10,7 @@ from aiobotocore.config import AioConfig
 from aiobotocore.session import get_session
 
 from kleinkram.server.settings import Settings
-from kleinkram.server.signing import Presigner
+from kleinkram.server.signing import Presigner, StoreClock
 
 STORES = (
     "http://127.0.0.1:9333",
@@ -89,3 +90,27 @@ def test_the_key_of_one_day_does_not_sign_the_next() -> None:
         return signer.sign("GET", "a/b", query={}, headers={}, expires_s=60, at=at)
 
     assert [sign(signer, at) for at in days] == [sign(Presigner(_settings(store), store), at) for at in days]
+
+
+def test_addresses_are_signed_for_the_time_at_the_store() -> None:
+    store, clock = STORES[0], StoreClock()
+    signer = Presigner(_settings(store), store, clock)
+
+    def says(ahead: datetime.timedelta) -> str:
+        return format_datetime(datetime.datetime.now(datetime.timezone.utc) + ahead, usegmt=True)
+
+    def ahead() -> datetime.timedelta:
+        said = parse_qs(urlsplit(signer.sign("GET", "a", query={}, headers={}, expires_s=60)).query)["X-Amz-Date"][0]
+        signed = datetime.datetime.strptime(said, "%Y%m%dT%H%M%S%z")
+        return signed - datetime.datetime.now(datetime.timezone.utc)
+
+    second, hour = datetime.timedelta(seconds=1), datetime.timedelta(hours=1)
+    assert not clock.hear(says(3 * second)), "what an answer takes to come is no difference"
+    for away in (hour, -hour):
+        assert clock.hear(says(away))
+        assert not clock.hear(says(away)), "it is known by now"
+        assert abs(ahead() - away) < 3 * second
+    for nothing in (None, "", "yesterday", "Mon, 99 Feb 2026 00:00:00 GMT"):
+        assert not clock.hear(nothing)
+    assert clock.hear(says(0 * second))
+    assert abs(ahead()) < 3 * second
