@@ -20,6 +20,7 @@ from kleinkram.server.backup.repository import Repository
 from kleinkram.server.backup.snapshot import Piece, TableCopy
 
 Reading = psycopg.AsyncConnection[tuple[object, ...]]
+_MOST_TOGETHER = 1000
 _PIECE_BYTES = 8 * 1024 * 1024
 
 _TABLES = """
@@ -168,14 +169,15 @@ class WantedList:
         packer.close()  # type: ignore[no-untyped-call]  # the library says nothing of it
 
     def groups(self) -> Iterator[list[Wanted]]:
-        """Yield the objects, those of one content together."""
+        """Yield the objects, those of one content together, as far as memory allows."""
         self._file.seek(0)
         reader = zstandard.ZstdDecompressor().stream_reader(self._file, closefd=False)
         group: list[Wanted] = []
         for line in _lines(reader):
             key, size_bytes, hashed = json.loads(line)
             wanted = Wanted(key, size_bytes, bytes.fromhex(hashed) if hashed else None)
-            if group and (wanted.sha256 is None or wanted.sha256 != group[0].sha256):
+            is_other = wanted.sha256 is None or not group or wanted.sha256 != group[0].sha256
+            if group and (is_other or len(group) == _MOST_TOGETHER):
                 yield group
                 group = []
             group.append(wanted)
