@@ -1,6 +1,7 @@
 """Reads, which change nothing: once more where the database went away meanwhile, and only while somebody waits.
 
-ASGI middleware for GET and HEAD. A change is neither repeated, since it may have been made, nor broken off half-way.
+ASGI middleware for GET and HEAD of the API, but for signing in, where a GET may use up a code. A change is neither
+repeated, since it may have been made, nor broken off half-way.
 """
 
 import asyncio
@@ -8,6 +9,7 @@ import asyncio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _READS = frozenset({"GET", "HEAD"})
+_API, _DOORS = "/api/v1/", "/api/v1/auth/"
 # What the log says of a request whose sender left before there was an answer; no such answer is ever sent.
 GONE = 499
 # A database on the same machine that was killed is back after a third of a second.
@@ -29,7 +31,7 @@ class Reads:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
-        if scope["type"] != "http" or scope["method"] not in _READS:
+        if not _is_read(scope):
             await self._app(scope, receive, send)
             return
         waiting = _Waiting(receive)
@@ -45,6 +47,13 @@ class Reads:
             scope["state"]["is_gone"] = True
         finally:
             waiting.end()
+
+
+def _is_read(scope: Scope) -> bool:
+    if scope["type"] != "http" or scope["method"] not in _READS:
+        return False
+    path: str = scope["path"]
+    return path.startswith(_API) and not path.startswith(_DOORS)
 
 
 class _Waiting:

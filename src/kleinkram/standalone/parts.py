@@ -31,7 +31,10 @@ class Part:
 
 @dataclass
 class RunningPart:
-    """A part with its process, if it has one now. `looked_at`: at how many failures its ports were looked at last."""
+    """A part with its process, if it has one now.
+
+    `looked_at`: at how many failures its ports were looked at last. `log_from`: where its log begins, in bytes.
+    """
 
     part: Part
     child: "subprocess.Popen[bytes]"
@@ -39,6 +42,7 @@ class RunningPart:
     failures: int = 0
     looked_at: int = 0
     start_again_at: float | None = None
+    log_from: int = 0
 
     @property
     def pid(self) -> int | None:
@@ -65,6 +69,7 @@ class RunningPart:
         """Start again if its time has come; returns whether it was started."""
         if self.start_again_at is None or time.monotonic() < self.start_again_at:
             return False
+        self.log_from = _size_of(self.part.log)
         self.child = self.part.start()
         self.started = time.monotonic()
         self.start_again_at = None
@@ -77,7 +82,8 @@ class RunningPart:
 
 def launch(part: Part) -> RunningPart:
     """Start a part for the first time."""
-    return RunningPart(part, part.start())
+    log_from = _size_of(part.log)
+    return RunningPart(part, part.start(), log_from=log_from)
 
 
 def bound_log(log: Path, *, limit_bytes: int = LOG_LIMIT_BYTES) -> None:
@@ -95,11 +101,15 @@ def bound_log(log: Path, *, limit_bytes: int = LOG_LIMIT_BYTES) -> None:
         file.truncate(0)
 
 
-def last_complaint(log: Path) -> str:
-    """PostgreSQL's last word on why it could not go on, for a message; empty where there is none in the log's end."""
+def last_complaint(log: Path, *, since: int = 0) -> str:
+    """PostgreSQL's last word on why it could not go on, for a message; empty where there is none in the log's end.
+
+    `since`: where in the log to begin, in bytes.
+    """
     try:
         with log.open("rb") as file:
-            file.seek(max(0, log.stat().st_size - 16_384))
+            size = log.stat().st_size
+            file.seek(max(0, size - 16_384, since if since <= size else 0))
             lines = file.read().decode(errors="replace").splitlines()
     except FileNotFoundError:
         return ""
@@ -107,6 +117,13 @@ def last_complaint(log: Path) -> str:
     # What it was asked meanwhile it refuses in the same tone.
     why = [rest.strip() for _, word, rest in said if not (word == "FATAL:" and rest.strip().startswith(_REFUSALS))]
     return why[-1][:300] if why else ""
+
+
+def _size_of(log: Path) -> int:
+    try:
+        return log.stat().st_size
+    except FileNotFoundError:
+        return 0
 
 
 def last_line(log: Path) -> str:

@@ -252,7 +252,7 @@ class Supervisor:
         name = running.part.name
         if running.start_again_at is None and (ending := running.ending()):
             pause = running.schedule()
-            why = last_complaint(running.part.log) if name == "postgres" and running.failures > 1 else ""
+            why = last_complaint(running.part.log, since=running.log_from) if name == "postgres" else ""
             said = f"; it said: {why}" if why else ""
             _say(f"{name} has ended ({ending}){said}; starting it again in {pause:.1f} s; log: {running.part.log}")
             self._tell()

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.acceptance.conftest import wait_until
 from tests.system import behind
 from tests.system.house import House
 
@@ -76,9 +77,10 @@ def upload_under_fire(house: House, one: Round, chance: random.Random, *, rate_m
     """Upload once, killing at random moments meanwhile, then again until it is done; note what was sent again."""
     before = behind.held_bytes(house)
     command = [*_upload(one), "--limit-rate", f"{rate_mb_s}MB"]
-    upload, started = house.terminal.start(*command), time.monotonic()
-    # About half a second passes before its first byte.
-    moments = sorted(chance.uniform(0.3, 0.5 + one.size_bytes / MB / rate_mb_s) for _ in one.victims)
+    upload = house.terminal.start(*command)
+    wait_until(lambda: bool(house.terminal.journals()) or upload.poll() is not None, "the upload to begin")
+    started = time.monotonic()
+    moments = sorted(chance.uniform(0, one.size_bytes / MB / rate_mb_s) for _ in one.victims)
     for moment, victim in zip(moments, one.victims, strict=True):
         _let_run(upload, started + moment)
         say(f"  {time.monotonic() - started:5.2f} s: kill {victim}")
