@@ -62,6 +62,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.NotFound: ExitCode.not_found,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,
+    remote.EditedMeanwhile: ExitCode.conflict,
     remote.InvalidRequest: ExitCode.usage,
     remote.InvalidQuery: ExitCode.usage,
     remote.InvalidCursor: ExitCode.usage,

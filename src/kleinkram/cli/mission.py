@@ -11,6 +11,7 @@ from kleinkram.cli.mission_view import show_contents, show_mission, show_mission
 from kleinkram.cli.options import (
     AsJson,
     DryRun,
+    IfEdition,
     Limit,
     MissionOption,
     ProjectOption,
@@ -115,6 +116,7 @@ def update(
     new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
     metadata: MetadataOption = None,
     notes: NotesOption = None,
+    edition: IfEdition = None,
     as_json: AsJson = False,
 ) -> None:
     """Change a mission's name, notes, or metadata (as a whole)."""
@@ -124,7 +126,7 @@ def update(
         raise InvalidInput(what="The command", reason="say what to change: --name, --metadata or --notes")
     with connect() as client:
         found = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.update(found.id, **given)
+        changed = client.missions.update(found.id, if_edition=edition or found.edition, **given)
     show_json(changed) if as_json else show_mission(changed)
 
 

@@ -25,6 +25,7 @@ def show_mission(mission: MissionRead) -> None:
             ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
             ("messages", mission.message_count),
             ("not read yet", f"{mission.pending_file_count} files" if mission.pending_file_count else None),
+            ("edition", mission.edition),
             ("notes", mission.notes),
             *((f"  {name}", _value(value)) for name, value in mission.metadata.items()),
             *((f"problem with {problem.field}", problem.message) for problem in mission.metadata_problems),

@@ -1,5 +1,6 @@
 """Options that mean the same on every command."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +29,20 @@ LimitRate = Annotated[
 ]
 Connections = Annotated[
     int, typer.Option("--connections", metavar="N", min=1, max=32, help="Transfers at the same time.")
+]
+
+
+def _edition(text: str | None) -> str | None:
+    if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
+        raise InvalidInput(what="--edition", reason="it is the 16 characters that --json and `info` show as edition")
+    return text
+
+
+IfEdition = Annotated[
+    str | None,
+    typer.Option(
+        "--edition", metavar="EDITION", callback=_edition, help="Only where it is still as it was when you looked."
+    ),
 ]
 
 

@@ -140,9 +140,10 @@ class Api:
         """POST something that may be said twice and has no answer."""
         self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
 
-    def patch(self, path: str, kind: type[T], body: BaseModel) -> T:
-        """Change a noun: only the fields that were set in `body` travel."""
-        return self.understood(kind, f"PATCH {path}", self._request("PATCH", path, body=body))
+    def patch(self, path: str, kind: type[T], body: BaseModel, *, edition: str | None = None) -> T:
+        """Change a noun: only fields that were set in `body` travel. With an `edition`, only where it is still that."""
+        answer = self._request("PATCH", path, body=body, edition=edition)
+        return self.understood(kind, f"PATCH {path}", answer)
 
     def delete(self, path: str, query: list[tuple[str, str]] | None = None) -> bytes:
         """Delete a noun and return the answer's body."""
@@ -184,14 +185,16 @@ class Api:
         patience_s: float = PATIENCE_S,
         wait: Callable[[float], object] | None = None,
         whole: bool = True,
+        edition: str | None = None,
     ) -> urllib3.BaseHTTPResponse:
         backoff: Backoff | None = None
         url = self._base + path
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
+            said = {"X-Request-Id": request_id} | ({} if edition is None else {"If-Match": f'"{edition}"'})
             try:
-                answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, request_id, whole)
+                answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, said, whole)
             except urllib3.exceptions.HTTPError as error:
                 backoff = backoff or _backoff(patience_s, wait)
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
@@ -207,12 +210,12 @@ class Api:
             raise self._failure(f"{method} {path}", answer, request_id)
 
     def _once(
-        self, method: str, target: str, content: bytes | None, request_id: str, whole: bool
+        self, method: str, target: str, content: bytes | None, said: Mapping[str, str], whole: bool
     ) -> urllib3.BaseHTTPResponse:
         headers = {
             "User-Agent": f"klein/{kleinkram.__version__}",
-            "X-Request-Id": request_id,
             "Accept": "application/json",
+            **said,
         }
         if self.endpoint.token is not None:
             headers["Authorization"] = f"Bearer {self.endpoint.token}"

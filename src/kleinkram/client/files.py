@@ -80,15 +80,20 @@ class Files:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
         return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching)), limit=limit)
 
-    def update(self, file_id: uuid.UUID, **changes: str | uuid.UUID | Sequence[str]) -> FileRead:
+    def update(
+        self, file_id: uuid.UUID, *, if_edition: str | None = None, **changes: str | uuid.UUID | Sequence[str]
+    ) -> FileRead:
         """Change what is given (the fields of `FileUpdate`): a path renames, a `mission_id` moves; no byte is touched.
+
+        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             FileExists, PathConflict: the new place is taken.
             InvalidInput: the path or a label is not usable.
+            EditedMeanwhile: it is of another edition by now.
         """
         body = checked(FileUpdate, "The file", **changes)
-        return self._api.patch(f"/files/{file_id}", FileRead, body)
+        return self._api.patch(f"/files/{file_id}", FileRead, body, edition=if_edition)
 
     def label(
         self, file_ids: Iterable[uuid.UUID], *, add: Sequence[str] = (), remove: Sequence[str] = ()

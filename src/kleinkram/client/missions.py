@@ -122,16 +122,20 @@ class Missions:
         body = checked(MissionCreate, "The mission", name=name, notes=notes, **given)
         return self._api.send("POST", f"/projects/{project_id}/missions", MissionRead, body)
 
-    def update(self, mission_id: uuid.UUID, **changes: str | bool | uuid.UUID | Metadata) -> MissionRead:
+    def update(
+        self, mission_id: uuid.UUID, *, if_edition: str | None = None, **changes: str | bool | uuid.UUID | Metadata
+    ) -> MissionRead:
         """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
 
         `metadata` changes the fields that it names, and None takes one away; `metadata_yaml` is all of it anew.
+        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.
+            EditedMeanwhile: it is of another edition by now.
         """
         body = checked(MissionUpdate, "The mission", **changes)
-        return self._api.patch(f"/missions/{mission_id}", MissionRead, body)
+        return self._api.patch(f"/missions/{mission_id}", MissionRead, body, edition=if_edition)
 
     def complete(self, mission_id: uuid.UUID) -> MissionRead:
         """Say that all of the mission is uploaded."""

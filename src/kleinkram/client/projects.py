@@ -67,15 +67,24 @@ class Projects:
         body = checked(ProjectCreate, "The project", name=name, description=description, **fields)
         return self._api.send("POST", "/projects", ProjectRead, body)
 
-    def update(self, project_id: uuid.UUID, **changes: str | bool | int | MetadataFields | None) -> ProjectRead:
+    def update(
+        self,
+        project_id: uuid.UUID,
+        *,
+        if_edition: str | None = None,
+        **changes: str | bool | int | MetadataFields | None,
+    ) -> ProjectRead:
         """Change what is given (the fields of `ProjectUpdate`) and return the project; a quota of None lifts it.
+
+        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
             Forbidden: to publish is for owners, quotas are for admins.
+            EditedMeanwhile: it is of another edition by now.
         """
         body = checked(ProjectUpdate, "The project", **changes)
-        return self._api.patch(f"/projects/{project_id}", ProjectRead, body)
+        return self._api.patch(f"/projects/{project_id}", ProjectRead, body, edition=if_edition)
 
     def delete(self, project_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
         """Move a project and all in it to the trash; with `dry_run`, only say what would go."""

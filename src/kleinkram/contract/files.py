@@ -3,10 +3,11 @@
 import datetime
 import enum
 import uuid
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
@@ -70,12 +71,17 @@ class FileProblem(BaseModel):
     message: str
 
 
+def _edition(said: dict[str, Any]) -> str:
+    return edition_of(said["path"], said["mission"].id, said["labels"])
+
+
 class FileRead(BaseModel):
     """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
 
     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed.
+    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `edition` names
+    the path and labels that people gave it last, as with missions.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -108,6 +114,7 @@ class FileRead(BaseModel):
     depth: ReadDepth | None
     lost: FileLoss | None
     facts: list[FileFact]
+    edition: Edition = Field(default_factory=_edition)
 
 
 class FileUpdate(BaseModel):

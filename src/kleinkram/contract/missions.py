@@ -3,11 +3,12 @@
 import datetime
 import enum
 import uuid
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
@@ -67,6 +68,12 @@ class MissionUpdate(_SaidOnce):
     completed: bool | None = None
 
 
+def _edition(said: dict[str, Any]) -> str:
+    words, project = (said[name] for name in ("name", "metadata_yaml", "notes")), said["project"]
+    values = sorted(said["metadata"].items())
+    return edition_of(*words, values, project.id, said["completed_at"] is not None)
+
+
 class MissionRead(BaseModel):
     """A mission and what it amounts to.
 
@@ -74,6 +81,7 @@ class MissionRead(BaseModel):
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
+    `edition` names what people edited last: given back with a change, that is refused where somebody else came first.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -96,6 +104,7 @@ class MissionRead(BaseModel):
     pending_file_count: int
     recordings_current: bool
     right: Right
+    edition: Edition = Field(default_factory=_edition)
 
 
 class MissionTemplate(BaseModel):

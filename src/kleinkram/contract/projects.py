@@ -3,11 +3,12 @@
 import datetime
 import enum
 import uuid
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
@@ -67,10 +68,19 @@ class ProjectUpdate(_DeclaredOnce):
     quota_files: Quota | None = None
 
 
+_EDITED = ("name", "description", "is_public", "licence", "citation", "quota_bytes", "quota_files")
+
+
+def _edition(said: dict[str, Any]) -> str:
+    fields: MetadataFields = said["metadata_fields"]
+    return edition_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
+
+
 class ProjectRead(BaseModel):
     """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
 
-    What is used, which the quotas bound, is the files and the uploads under way.
+    What is used, which the quotas bound, is the files and the uploads under way. `edition` names what people edited
+    last, as with missions.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -94,6 +104,7 @@ class ProjectRead(BaseModel):
     used_bytes: int
     used_files: int
     right: Right
+    edition: Edition = Field(default_factory=_edition)
 
 
 class ProjectSort(str, enum.Enum):

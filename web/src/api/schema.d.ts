@@ -3225,7 +3225,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3456,7 +3456,8 @@ export interface components {
          *
          *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed.
+         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `edition` names
+         *     the path and labels that people gave it last, as with missions.
          */
         FileRead: {
             /** Compression */
@@ -3474,6 +3475,8 @@ export interface components {
             /** Damaged At */
             damaged_at?: string | null;
             depth: components["schemas"]["ReadDepth"] | null;
+            /** Edition */
+            edition?: string;
             /** End Ns */
             end_ns: number | null;
             /** Facts */
@@ -4161,6 +4164,7 @@ export interface components {
          *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
          *     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
          *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
+         *     `edition` names what people edited last: given back with a change, that is refused where somebody else came first.
          */
         MissionRead: {
             /** Completed At */
@@ -4171,6 +4175,8 @@ export interface components {
              */
             created_at: string;
             created_by: components["schemas"]["PersonRef"];
+            /** Edition */
+            edition?: string;
             /** End Ns */
             end_ns: number | null;
             /** File Count */
@@ -4823,7 +4829,8 @@ export interface components {
          * ProjectRead
          * @description A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
          *
-         *     What is used, which the quotas bound, is the files and the uploads under way.
+         *     What is used, which the quotas bound, is the files and the uploads under way. `edition` names what people edited
+         *     last, as with missions.
          */
         ProjectRead: {
             /** Citation */
@@ -4838,6 +4845,8 @@ export interface components {
             description: string;
             /** Duration Ns */
             duration_ns: number;
+            /** Edition */
+            edition?: string;
             /** File Count */
             file_count: number;
             /**
@@ -5598,11 +5607,17 @@ export interface components {
          *
          *     `query` is the text in its own order and spelling; `filter` is what it means. Missions are those that match by what
          *     they say themselves, and those of files that match. Their lists go on at `/missions` and `/files` with the same
-         *     `query` and `sort=-start`.
+         *     `query` and `sort=-start`. Not `is_whole` where very many files match: then every number of missions, files and
+         *     topics is an estimate, in two digits, and the topics are those of files drawn by lot.
          */
         SearchRead: {
             files: components["schemas"]["Page_FileRead_"];
             filter: components["schemas"]["FileFilter"];
+            /**
+             * Is Whole
+             * @default true
+             */
+            is_whole: boolean;
             missions: components["schemas"]["Page_MissionRead_"];
             /** Query */
             query: string;
@@ -9587,7 +9602,10 @@ export interface operations {
     update_file: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 file_id: string;
             };
@@ -9637,6 +9655,15 @@ export interface operations {
             };
             /** @description A failure, by its code: name_taken, path_conflict. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -11690,7 +11717,10 @@ export interface operations {
     update_mission: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 mission_id: string;
             };
@@ -11740,6 +11770,15 @@ export interface operations {
             };
             /** @description A failure, by its code: name_taken. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -13781,7 +13820,10 @@ export interface operations {
     update_project: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 project_id: string;
             };
@@ -13831,6 +13873,15 @@ export interface operations {
             };
             /** @description A failure, by its code: name_taken. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };

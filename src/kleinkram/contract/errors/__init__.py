@@ -18,6 +18,7 @@ from kleinkram.contract.errors.files import (
 from kleinkram.contract.errors.requests import (
     AmbiguousName,
     BodyTooLarge,
+    EditedMeanwhile,
     FieldsInvalid,
     InvalidCursor,
     InvalidQuery,
@@ -66,6 +67,7 @@ __all__ = [
     "ChecksumMismatch",
     "CodeGone",
     "DatabaseUnavailable",
+    "EditedMeanwhile",
     "ErrorCode",
     "FieldProblem",
     "FieldsInvalid",

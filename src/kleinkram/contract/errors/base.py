@@ -33,6 +33,7 @@ class ErrorCode(str, enum.Enum):
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
+    edited_meanwhile = "edited_meanwhile"
     invalid_request = "invalid_request"
     invalid_query = "invalid_query"
     invalid_cursor = "invalid_cursor"

@@ -42,6 +42,17 @@ class NameTaken(KleinkramError):
 
 
 @dataclass(eq=False)
+class EditedMeanwhile(KleinkramError):
+    """The {noun} {name!r} was changed by somebody else since you looked at it, so nothing of yours was kept. Look at it as it is now, then make your change again."""  # noqa: E501  one sentence
+
+    code = ErrorCode.edited_meanwhile
+    status = 412
+    noun: str
+    name: str
+    edition: str
+
+
+@dataclass(eq=False)
 class _ProblemsError(KleinkramError):
     problems: list[FieldProblem]
 

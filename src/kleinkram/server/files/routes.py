@@ -18,6 +18,7 @@ from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, SearchingActor, Transaction
+from kleinkram.server.editions import IfMatch
 from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
 
@@ -62,9 +63,11 @@ async def get_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> 
 
 
 @router.patch("/files/{file_id}", operation_id="update_file")
-async def update_file(file_id: uuid.UUID, changes: FileUpdate, db: Transaction, actor: CurrentActor) -> FileRead:
+async def update_file(
+    file_id: uuid.UUID, changes: FileUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
+) -> FileRead:
     """Rename, move or label a file; what is left out stays."""
-    return await service.update_file(db, actor, file_id=file_id, changes=changes)
+    return await service.update_file(db, actor, file_id=file_id, changes=changes, if_match=if_match)
 
 
 @router.delete("/files/{file_id}", operation_id="delete_file")

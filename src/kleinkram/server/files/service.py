@@ -26,17 +26,22 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
+from kleinkram.server.editions import require_edition
 from kleinkram.server.files import queries
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.pages import Order, PageRequest, Rows, fetch_page, place_of
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
+from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+_BY_PATH = {FileSort.path, FileSort.path_desc}
+# Among the files of so many missions the first page is looked for.
+_MISSIONS_AHEAD = 64
 _FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
 
 
@@ -72,9 +77,28 @@ async def list_files(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    found = queries.matching_files(actor, matching)
-    rows = await fetch_page(db, queries.file_rows(found), queries.file_order(actor, sort), page, counted=found)
+    found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
+    rows = await _first_missions(db, actor, matching, order, page) if sort in _BY_PATH else None
+    if rows is None:
+        rows = await fetch_page(db, queries.file_rows(found), order, page, counted=found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def _first_missions(
+    db: Connection, actor: Actor, matching: FileFilter, order: Order, page: PageRequest
+) -> Rows | None:
+    """Return a page of a list by path where it lies in its first missions, so that the others' files are not sorted.
+
+    None where these do not fill it, or where the list is short.
+    """
+    if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.rare_words:
+        return None
+    after = place_of(page.cursor, order)[:2] if page.cursor else []
+    ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)
+    mission_ids = (await db.execute(ahead)).scalars().all()
+    found = queries.matching_files(actor, matching).where(among(file.c.mission_id, mission_ids))
+    rows = await fetch_page(db, queries.file_rows(found), order, page)
+    return rows if rows.next is not None or len(mission_ids) < _MISSIONS_AHEAD else None
 
 
 async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page: PageRequest) -> Page[TopicRead]:
@@ -88,7 +112,9 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
     return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, changes: FileUpdate) -> FileRead:
+async def update_file(
+    db: Connection, actor: Actor, *, file_id: uuid.UUID, changes: FileUpdate, if_match: str | None = None
+) -> FileRead:
     """Rename, move or label a file and return it; recordings on both sides are derived anew.
 
     Raises:
@@ -97,6 +123,7 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
         NameTaken: there is a file of that path.
         QuotaExceeded: the project to move it to has no room for it.
         PathConflict: the path is a folder there, or needs a folder where a file is.
+        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
     """
     old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
     mission_id = changes.mission_id or old.mission_id
@@ -104,8 +131,11 @@ async def update_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, chang
     if mission_id != old.mission_id:
         await require_mission(db, actor, "begin_uploads", mission_id)
     path = changes.path or old.path
+    labels = old.labels if changes.labels is None else list(dict.fromkeys(changes.labels))
+    if (mission_id, path, labels) != (old.mission_id, old.path, old.labels):
+        require_edition(if_match, queries.to_file(old).edition, noun="file", name=old.path)
     values: dict[str, Any] = {}
-    if changes.labels is not None and (labels := list(dict.fromkeys(changes.labels))) != old.labels:
+    if labels != old.labels:
         values["labels"] = labels
     if (mission_id, path) != (old.mission_id, old.path):
         if mission_id != old.mission_id and (project_id := await project_of(db, mission_id)) != old.project_id:

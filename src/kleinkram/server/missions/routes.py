@@ -11,6 +11,7 @@ from kleinkram.contract.query import parse
 from kleinkram.contract.searching import QueryText
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.editions import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.pages import PageRequest
 
@@ -53,10 +54,10 @@ async def get_mission(mission_id: uuid.UUID, db: Transaction, actor: CurrentActo
 
 @router.patch("/missions/{mission_id}", operation_id="update_mission")
 async def update_mission(
-    mission_id: uuid.UUID, changes: MissionUpdate, db: Transaction, actor: CurrentActor
+    mission_id: uuid.UUID, changes: MissionUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> MissionRead:
     """Rename, move, complete or describe a mission; what is left out stays."""
-    return await service.update_mission(db, actor, mission_id=mission_id, changes=changes)
+    return await service.update_mission(db, actor, mission_id=mission_id, changes=changes, if_match=if_match)
 
 
 @router.delete("/missions/{mission_id}", operation_id="delete_mission")

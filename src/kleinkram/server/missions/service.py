@@ -31,6 +31,7 @@ from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import prefilled, write_template
@@ -147,8 +148,10 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     return made
 
 
-async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID, changes: MissionUpdate) -> MissionRead:
-    """Change what is given and return the mission.
+async def update_mission(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, changes: MissionUpdate, if_match: str | None = None
+) -> MissionRead:
+    """Change what is given and return the mission; where it is all so already, nothing is asked of its edition.
 
     A mission that moves keeps its metadata; what of it does not satisfy the new project is reported, not refused.
 
@@ -159,6 +162,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         MetadataInvalid: new metadata does not satisfy the project.
         NameTaken: the project has a mission of that name.
         QuotaExceeded: the project to move it to has no room for it.
+        EditedMeanwhile: it is not of the edition in `if_match` any more.
     """
     document = None if changes.metadata_yaml is None else await _said_in(changes)
     row = await get_mission_row(db, actor, mission_id)
@@ -176,6 +180,7 @@ async def update_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old
+    require_edition(if_match, old.edition, noun="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
     differing = [name for name in _AUDITED if _said(old, name) != _said(new, name)]

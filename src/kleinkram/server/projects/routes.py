@@ -12,6 +12,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.editions import IfMatch
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.projects import service
 
@@ -56,10 +57,10 @@ async def get_project(project_id: uuid.UUID, db: Transaction, actor: CurrentActo
 
 @router.patch("/{project_id}", operation_id="update_project")
 async def update_project(
-    project_id: uuid.UUID, changes: ProjectUpdate, db: Transaction, actor: CurrentActor
+    project_id: uuid.UUID, changes: ProjectUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ProjectRead:
     """Rename or describe a project, or change its metadata fields; what is left out stays."""
-    return await service.update_project(db, actor, project_id=project_id, changes=changes)
+    return await service.update_project(db, actor, project_id=project_id, changes=changes, if_match=if_match)
 
 
 @router.delete("/{project_id}", operation_id="delete_project")

@@ -20,6 +20,7 @@ from kleinkram.server.access.creating import give_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.projects import queries
@@ -85,7 +86,9 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
     return await get_project(db, actor, project_id)
 
 
-async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate) -> ProjectRead:
+async def update_project(
+    db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate, if_match: str | None = None
+) -> ProjectRead:
     """Change what is given and return the project. Missions that no longer satisfy new fields are reported, not broken.
 
     To publish it, or take that back, is for its owners; its quotas are for admins. A quota below what is used keeps
@@ -98,6 +101,7 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
+        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
     """
     fields = await _declared(changes)
     await db.execute(queries.lock_project(actor, project_id))
@@ -106,6 +110,7 @@ async def update_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     before, after = _changes(old, changes, fields)
     if not after:
         return old
+    require_edition(if_match, old.edition, noun="project", name=old.name)
     await _see_that_it_may_change(db, actor, project_id, after)
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
     try:

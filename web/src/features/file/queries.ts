@@ -2,6 +2,7 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import type { Ref } from "vue";
 import { api, call } from "@/api/client";
+import { ifStill, ledTo, type Looked } from "@/api/editions";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
@@ -71,8 +72,10 @@ export function useFileChanges(fileId: string) {
   }
 
   const update = useMutation({
-    mutationFn: (body: Change) => call(api.PATCH("/api/v1/files/{file_id}", { params: { path }, body })),
-    onSuccess: (file) => {
+    mutationFn: ({ edition, ...body }: Change & Looked) =>
+      call(api.PATCH("/api/v1/files/{file_id}", { params: { path, header: ifStill(edition) }, body })),
+    onSuccess: (file, { edition }) => {
+      ledTo(edition, file.edition);
       queries.setQueryData(keys.file(fileId), file);
       old();
     },

@@ -1,6 +1,7 @@
 // What the page of a mission asks the server, and what it has it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
+import { ifStill, ledTo, type Looked } from "@/api/editions";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
 import type { File, Recording } from "@/api/types";
@@ -141,8 +142,10 @@ export function useMissionChanges(missionId: string) {
   }
 
   const update = useMutation({
-    mutationFn: (body: MissionChange) => call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path }, body })),
-    onSuccess: (mission) => {
+    mutationFn: ({ edition, ...body }: MissionChange & Looked) =>
+      call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path, header: ifStill(edition) }, body })),
+    onSuccess: (mission, { edition }) => {
+      ledTo(edition, mission.edition);
       queries.setQueryData(keys.mission(missionId), mission);
       old();
     },

@@ -2,6 +2,7 @@
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
+import { ifStill, ledTo, type Looked } from "@/api/editions";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { components, operations } from "@/api/schema";
@@ -92,8 +93,10 @@ export function useProjectChanges(projectId: string) {
   }
 
   const update = useMutation({
-    mutationFn: (body: ProjectChange) => call(api.PATCH("/api/v1/projects/{project_id}", { params: { path }, body })),
-    onSuccess: (project) => {
+    mutationFn: ({ edition, ...body }: ProjectChange & Looked) =>
+      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifStill(edition) }, body })),
+    onSuccess: (project, { edition }) => {
+      ledTo(edition, project.edition);
       queries.setQueryData(keys.project(projectId), project);
       old();
     },

@@ -1,0 +1,113 @@
+"""Two people edit one thing: the second is told, and what the first wrote stands."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from kleinkram.cli.main import app
+from kleinkram.client import connect
+from kleinkram.contract.errors import EditedMeanwhile
+from tests.integration.races import racing
+from tests.integration.running import Answer, Api
+from tests.integration.uploading import upload
+
+FIELDS = "undeclared: accept\nfields:\n  - {name: robot, type: string}\n"
+# Of each noun: what the first writes, and the second, who looked at the same.
+_EDITS = {
+    "missions": [
+        ({"metadata": {"robot": "spot"}}, {"metadata": {"operator": "ada"}}),
+        ({"metadata_yaml": "robot: spot\n"}, {"metadata_yaml": "robot: anymal\n"}),
+        ({"notes": "rain"}, {"notes": "sun"}),
+        ({"name": "first"}, {"name": "second"}),
+        ({"completed": True}, {"notes": "more to come"}),
+    ],
+    "projects": [
+        ({"metadata_fields": {"fields": [{"name": "a", "type": "string"}]}}, {"fields_yaml": "fields: []\n"}),
+        ({"description": "mine"}, {"description": "yours"}),
+        ({"is_public": True}, {"licence": "CC0-1.0"}),
+    ],
+    "files": [({"labels": ["good"]}, {"labels": ["night"]}), ({"path": "a.bin"}, {"path": "b.bin"})],
+}
+_HOLD = {
+    "missions": "SELECT 1 FROM mission WHERE id = %s FOR UPDATE",
+    "projects": "SELECT 1 FROM project WHERE id = %s FOR UPDATE",
+    "files": "SELECT 1 FROM file f JOIN mission m ON m.id = f.mission_id WHERE f.id = %s FOR UPDATE",
+}
+
+
+@pytest.fixture(name="made")
+def _made(api: Api) -> dict[str, Any]:
+    """One of each noun, by its path."""
+    project = api.project(fields_yaml=FIELDS)
+    mission = api.mission(project["id"], metadata={"robot": "anymal"}, notes="fog")
+    return {"projects": project, "missions": mission, "files": upload(api, mission["id"], "run.bin", b"abc")}
+
+
+def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
+    return api.call("PATCH", f"/{noun}/{seen['id']}", body, headers={"If-Match": f'"{seen["edition"]}"'})
+
+
+@pytest.mark.parametrize(
+    ("noun", "first", "second"), [(noun, *each) for noun, those in _EDITS.items() for each in those]
+)
+def test_whoever_comes_second_is_told(api: Api, made: dict[str, Any], noun: str, first: Any, second: Any) -> None:
+    seen = api.get(f"/{noun}/{made[noun]['id']}").ok()
+    if noun == "missions" and "name" in first:  # its project is shared by nobody
+        first, second = ({"name": f"{each['name']} {seen['id']}"} for each in (first, second))
+    with racing(api, _HOLD[noun], seen["id"]) as send:
+        both = [send(_change, api, noun, seen, body) for body in (first, second)]
+    kept = both[0].result(30).ok()
+    problem = both[1].result(30).refused(412, "edited_meanwhile")
+    assert problem["edition"] == kept["edition"] != seen["edition"]
+    assert "changed by somebody else" in problem["detail"]
+    now = api.get(f"/{noun}/{seen['id']}").ok()
+    assert now == kept
+    assert _change(api, noun, now, second).ok()["edition"] != now["edition"], "having looked again, they may"
+
+
+@pytest.mark.parametrize("noun", _EDITS)
+def test_what_is_so_already_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
+    seen, body = made[noun], _EDITS[noun][0][0]
+    kept = _change(api, noun, seen, body).ok()
+    assert _change(api, noun, seen, body).ok()["edition"] == kept["edition"], "an answer was lost, and asked for again"
+
+
+def test_what_jobs_find_out_is_no_edit(api: Api, made: dict[str, Any]) -> None:
+    api.sql("UPDATE mission SET files_revision = files_revision + 1, start_ns = 1, end_ns = 2")
+    upload(api, made["missions"]["id"], "more.bin", b"more")
+    assert _change(api, "missions", made["missions"], {"notes": "sun"}).ok()["notes"] == "sun"
+
+
+@pytest.mark.parametrize(
+    ("header", "status"), [("*", 200), ('"0000000000000000"', 412), ('W/"{}"', 200), ('"1", "{}"', 200)]
+)
+def test_if_match_is_read_as_http_says(api: Api, made: dict[str, Any], header: str, status: int) -> None:
+    seen = made["missions"]
+    headers = {"If-Match": header.format(seen["edition"])}
+    assert api.call("PATCH", f"/missions/{seen['id']}", {"notes": "x"}, headers=headers).status == status
+    assert api.patch(f"/missions/{seen['id']}", {"notes": "y"}).ok()["notes"] == "y", "who names none is not asked"
+
+
+def test_the_sdk_raises_it_by_its_name(api: Api, made: dict[str, Any]) -> None:
+    with connect(api.url, api.token) as client:
+        seen = client.missions.get(made["missions"]["id"])
+        client.missions.update(seen.id, if_edition=seen.edition, notes="mine")
+        with pytest.raises(EditedMeanwhile, match="changed by somebody else"):
+            client.missions.update(seen.id, if_edition=seen.edition, notes="yours")
+        assert client.missions.get(seen.id).notes == "mine"
+
+
+def test_the_terminal_says_so_and_ends_with_conflict(
+    api: Api, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("KLEINKRAM_URL", api.url)
+    monkeypatch.setenv("KLEINKRAM_TOKEN", str(api.token))
+    seen = made["missions"]
+    change: Callable[[str], Any] = lambda notes: CliRunner().invoke(  # noqa: E731  (short)
+        app, ["mission", "update", seen["id"], "--notes", notes, "--edition", seen["edition"]]
+    )
+    assert change("mine").exit_code == 0
+    assert isinstance(change("yours").exception, EditedMeanwhile)
+    assert api.get(f"/missions/{seen['id']}").ok()["notes"] == "mine"
