@@ -39,6 +39,12 @@ from tests.integration.uploading import upload
 from tests.stack import RunningStore
 
 
+def test_looking_makes_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(NothingThere, match="no such folder"):
+        look(tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
 def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
     made = back_up(settings_of(lived_in), tmp_path)
     *_, largest = content_files(tmp_path)

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from alembic import command
 
 from kleinkram.server.backup import loading
 from kleinkram.server.backup.bucket import BucketShelf
 from kleinkram.server.backup.failing import BackupError, InTheWay
+from kleinkram.server.migrations import HEAD, alembic_config
 from kleinkram.server.settings import plain_dsn
 from tests.integration.backup.sites import (
     Sites,
@@ -149,6 +151,20 @@ def test_a_restore_that_ended_anywhere_goes_on(
         assert fill(target, tmp_path, **wanted).sent == 0
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
+
+
+@pytest.mark.slow
+def test_a_backup_of_an_earlier_schema_is_brought_to_this_one(sites: Sites, tmp_path: Path) -> None:
+    with sites.empty() as source, sites.empty() as target:
+        owner = plain_dsn(source.migration_database_url or source.database_url)
+        command.upgrade(alembic_config(owner.replace("://", "+psycopg://", 1), source.serving_role), "0015")
+        with psycopg.connect(owner) as database:
+            database.execute("INSERT INTO person (id, name) VALUES (gen_random_uuid(), 'from before')")
+        back_up(source, tmp_path)
+        fill(target, tmp_path)
+        with psycopg.connect(plain_dsn(target.database_url)) as database:
+            assert database.execute("SELECT version_num FROM alembic_version").fetchall() == [(HEAD,)]
+            assert database.execute("SELECT name FROM person").fetchall() == [("from before",)]
 
 
 def test_a_backup_of_a_later_schema_is_refused(lived_in: Api, sites: Sites, tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ async def create(settings: Settings, making: Making) -> Made:
 async def _begin(shelf: Shelf, making: Making) -> None:
     """See that backups can be kept there, and that nothing is left of earlier runs; not while others are at work."""
     with contextlib.suppress(InTheWay):
-        async with at_work(shelf, alone=True):
+        async with at_work(shelf, alone=True, begins=True):
             await make_repository(shelf, making.passphrase, sealed=making.sealed)
 
 

@@ -14,7 +14,7 @@ from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from kleinkram.server.backup.failing import BackupError, CannotWrite, InTheWay, Unreachable
+from kleinkram.server.backup.failing import BackupError, CannotWrite, InTheWay, NothingThere, Unreachable
 from kleinkram.server.backup.shelf import FolderShelf, Shelf
 
 _NOTES = "locks/"
@@ -23,14 +23,15 @@ _STALE_S = 600.0
 
 
 @asynccontextmanager
-async def at_work(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
-    """Be at work in a place, `alone` or beside others.
+async def at_work(shelf: Shelf, *, alone: bool, begins: bool = False) -> AsyncGenerator[None, None]:
+    """Be at work in a place, `alone` or beside others; a folder is made for who `begins` there.
 
     Raises:
         InTheWay: somebody is there whom that does not suit.
+        NothingThere: there is no such folder.
     """
     if isinstance(shelf, FolderShelf):
-        with _held(Path(shelf.name), alone=alone):
+        with _held(Path(shelf.name), alone=alone, begins=begins):
             if alone:
                 await shelf.tidy()
             yield
@@ -42,10 +43,13 @@ async def at_work(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
 
 
 @contextlib.contextmanager
-def _held(folder: Path, *, alone: bool) -> Iterator[None]:
+def _held(folder: Path, *, alone: bool, begins: bool) -> Iterator[None]:
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if begins:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = _open(folder / "lock", alone=alone)
+    except FileNotFoundError:
+        raise NothingThere(f"There are no backups in {folder}: no such folder is there.") from None
     except OSError as error:
         raise CannotWrite(f"{folder} cannot be used: {error.strerror or error}.") from error
     try:
