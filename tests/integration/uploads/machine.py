@@ -1,0 +1,310 @@
+"""A random life of uploads and blobs on a real server, beside a model that knows what must be true after each step."""
+
+import asyncio
+import re
+import threading
+import uuid
+from collections.abc import Awaitable, Callable, Coroutine
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, TypeVar, cast
+
+from hypothesis import strategies as st
+from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
+from procrastinate import JobContext
+from sqlalchemy import text
+
+from kleinkram.server.blobs import jobs, scrubbing
+from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.db import open_database
+from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.site import Site
+from kleinkram.server.storage import open_storage
+from kleinkram.server.uploads.jobs import tend_uploads
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, send, sha256
+
+T = TypeVar("T")
+_PAGE = Path(__file__).parents[3] / "docs" / "states.md"
+_PATHS = ("a.bin", "b.bin", "c/d.bin")
+_BODIES = (b"one", b"another", b"the third one")
+# All that is bytes and no recording: nothing reads along.
+_ALL_BLOBS = text("UPDATE blob SET content = 'opaque', summarised_at = now() WHERE doomed_at IS NULL RETURNING id")
+
+
+def documented(heading: str) -> set[tuple[str, str]]:
+    """Return the changes of state that the page on states names under a heading."""
+    section = _PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    return set(re.findall(r"^\| (\w+) \| (\w+) \| ", section, re.MULTILINE)) - {("from", "to")}
+
+
+def _reached(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
+    """Several changes may lie between two looks."""
+    found = set(edges)
+    while more := {(a, d) for a, b in found for c, d in found if b == c} - found:
+        found |= more
+    return found
+
+
+class SiteThread:
+    """A site of its own for the test's hand behind the server, kept open in a thread."""
+
+    def __init__(self, api: Api) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        self._ended = asyncio.Event()
+        ready: asyncio.Future[Site] = asyncio.Future(loop=self._loop)
+        self._task = asyncio.run_coroutine_threadsafe(self._stay(api, ready), self._loop)
+        self.site = asyncio.run_coroutine_threadsafe(_result(ready), self._loop).result(30)
+
+    async def _stay(self, api: Api, ready: "asyncio.Future[Site]") -> None:
+        settings = api.app.state.settings
+        database = open_database(settings, statement_timeout_s=None)
+        async with open_storage(settings) as storage:
+            ready.set_result(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))
+            await self._ended.wait()
+        await database.close()
+
+    def run(self, work: Callable[[Site], Coroutine[Any, Any, T]]) -> T:
+        """Do something with the site."""
+        return asyncio.run_coroutine_threadsafe(work(self.site), self._loop).result(60)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._task.result(30)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(30)
+
+
+async def _result(ready: "asyncio.Future[Site]") -> Site:
+    return await ready
+
+
+class Machine(RuleBasedStateMachine):
+    """What people, jobs and a lying store do to one mission, in any order."""
+
+    api: Api
+    site: SiteThread
+    uploads: Bundle[tuple[dict[str, Any], bytes]] = Bundle("uploads")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.project_id = self.api.project()["id"]
+        self.mission_id = self.api.mission(self.project_id)["id"]
+        # By key: what was done to an object behind the server's back.
+        self.done_to: dict[str, str] = {}
+        self.trashed: dict[str, str] = {}
+        self.seen: dict[tuple[str, str], str] = {}
+        self.edges = {"upload": _reached(documented("An upload")), "blob": _reached(documented("A blob"))}
+
+    # What people do.
+
+    @rule(target=uploads, path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES), hashed=st.booleans())
+    def begin(self, path: str, body: bytes, hashed: bool) -> tuple[dict[str, Any], bytes]:
+        """Announce a file; it is sent, linked, there already, or refused since the name is held or taken."""
+        decision = begin(self.api, self.mission_id, {path: body}, hashed=hashed)[0]
+        if decision["decision"] == "refused":
+            assert decision["problem"]["code"] in {"name_leased", "file_exists"}
+            assert self._holds(path), "refused, although nobody holds the name"
+        return decision.get("upload") or {}, body
+
+    @rule(upload=uploads)
+    def send(self, upload: tuple[dict[str, Any], bytes]) -> None:
+        """Send all of a file, if its upload is open."""
+        if upload[0] and self._state(upload[0]) == "open" and self._key(upload[0]) not in self._keys():
+            send(self.api, *upload)
+
+    @rule(upload=uploads)
+    def complete(self, upload: tuple[dict[str, Any], bytes]) -> None:
+        """Complete an upload; what is said to be completed is a file with these bytes."""
+        if not upload[0]:
+            return
+        was, is_there = self._state(upload[0]), self._key(upload[0]) in self._keys()
+        outcome = complete(self.api, *upload)
+        if outcome["outcome"] == "completed":
+            assert outcome["file"]["sha256"] == sha256(upload[1])
+        elif was == "open" and is_there:
+            assert outcome["problem"]["code"] in {"file_exists", "upload_gone"}
+
+    @rule(upload=uploads)
+    def abort(self, upload: tuple[dict[str, Any], bytes]) -> None:
+        """Break an upload off."""
+        if upload[0]:
+            self.api.delete(f"/uploads/{upload[0]['id']}").ok(204)
+
+    @rule(place=st.integers(0, 2))
+    def delete(self, place: int) -> None:
+        """Move a file to the trash."""
+        if len(files := self._files()) > place:
+            self.api.delete(f"/files/{files[place]['id']}").ok()
+            self.trashed[files[place]["id"]] = files[place]["path"]
+
+    @rule(place=st.integers(0, 2))
+    def restore(self, place: int) -> None:
+        """Put a file back, where its name is free."""
+        for file_id, path in list(self.trashed.items())[place : place + 1]:
+            is_free = path not in {file["path"] for file in self._files()}
+            answer = self.api.post(f"/trash/file/{file_id}/restore")
+            assert answer.status == (204 if is_free else 409), answer
+            if is_free:
+                del self.trashed[file_id]
+
+    # What time and jobs do.
+
+    @rule()
+    def expire(self) -> None:
+        """Let all that is under way lapse, and clean up after it."""
+        self.api.sql("UPDATE upload SET expires_at = now(), lease_ends_at = now() - interval '1 hour'"
+                     " WHERE state = 'open'")  # fmt: skip
+        self.site.run(lambda site: tend_uploads(site, stale_s=0))
+
+    @rule()
+    def empty_trash(self) -> None:
+        """Let what is in the trash be old enough, and sweep."""
+        self.api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE deleted_at IS NOT NULL")
+        self.trashed.clear()
+        self.sweep()
+
+    @rule()
+    def sweep(self) -> None:
+        """Doom what nothing refers to, then delete it."""
+        for _ in range(2):
+            self.site.run(jobs.sweep_once)
+
+    @rule()
+    def prove(self) -> None:
+        """Read every blob; afterwards each says what was done to it."""
+        self.site.run(_prove_all)
+        self._see_that_damage_is_told({"gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+
+    @rule()
+    def scrub(self) -> None:
+        """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
+        scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
+        self.site.run(lambda site: scrubbing.scrub_store(site, scrub_id))
+        self._see_that_damage_is_told({"gone": "lost", "cut": "corrupt"})
+
+    # What a store does that lies.
+
+    @rule(place=st.integers(0, 2), what=st.sampled_from(["gone", "cut", "altered", "whole"]))
+    def lie(self, place: int, what: str) -> None:
+        """Remove, cut or alter an object of a file, or bring back what it was."""
+        rows = self._blobs()
+        if len(rows) <= place:
+            return
+        key, digest = rows[place][1], rows[place][3]
+        body = next(each for each in _BODIES if sha256(each) == digest)
+        if what == "gone":
+            self.site.run(lambda site: site.storage.delete(key))
+        else:
+            put = {"cut": body[:-1], "altered": body[:-1] + b"\0", "whole": body}[what]
+            self.site.run(lambda site: site.storage.put_small(key, put))
+        self.done_to[key] = what
+
+    # What is always true.
+
+    @invariant()
+    def every_file_is_readable_or_says_that_it_is_not(self) -> None:
+        """No row that lies: an object that nobody harmed is there, whole, and not said to be lost."""
+        listed = self._keys()
+        for state, key, size_bytes, _ in self._blobs():
+            harm = self.done_to.get(key)
+            if harm is None:
+                assert listed.get(key) == size_bytes
+                assert state in {"stored", "proven"}
+            elif harm != "whole":
+                assert state in {"stored", "proven", "lost", "corrupt"}
+
+    @invariant()
+    def every_object_is_known(self) -> None:
+        """No object without a row."""
+        known = {row[0] for row in self.api.sql("SELECT key FROM blob UNION SELECT key FROM upload")}
+        assert {key for key in self._keys() if not key.startswith("probe/")} <= known
+
+    @invariant()
+    def what_is_used_adds_up(self) -> None:
+        """Files and uploads under way, each once."""
+        told = self.api.get(f"/projects/{self.project_id}").ok()
+        files = self._files()
+        coming = self.api.sql(
+            "SELECT u.size_bytes FROM upload u WHERE u.mission_id = %s AND u.state IN ('open', 'completing') AND NOT"
+            " EXISTS (SELECT 1 FROM file f WHERE f.mission_id = u.mission_id AND f.path_key = u.path_key"
+            " AND f.deleted_at IS NULL)",
+            self.mission_id,
+        )
+        assert told["file_count"] == len(files)
+        assert told["size_bytes"] == sum(file["size_bytes"] for file in files)
+        assert len(files) + len(coming) <= told["used_files"] <= len(files) + len(_PATHS)
+
+    @invariant()
+    def states_move_along_documented_edges(self) -> None:
+        """As `docs/states.md` has them; and a blob that is doomed stays so."""
+        now = {("upload", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM upload")}
+        now |= {("blob", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM blob")}
+        for what, state in now.items():
+            before = self.seen.get(what, state)
+            assert before == state or (before, state) in self.edges[what[0]], (what[0], before, state)
+        self.seen = now
+
+    def teardown(self) -> None:
+        """In the end nothing is blocked, and nothing is left."""
+        self.done_to |= dict.fromkeys(self._keys(), "whole")  # what is looked at now is only what is left
+        self.expire()
+        for file in self._files():
+            self.api.delete(f"/files/{file['id']}").ok()
+        for path in _PATHS:
+            assert begin(self.api, self.mission_id, {path: b"free?" + path.encode()})[0]["decision"] == "send"
+        self.expire()
+        self.empty_trash()
+        assert {key for key in self._keys() if not key.startswith("probe/")} == set()
+        assert self.api.sql("SELECT count(*) FROM blob") == [(0,)]
+        self.api.delete(f"/projects/{self.project_id}").ok()
+
+    # How it looks.
+
+    def _files(self) -> list[Any]:
+        return self.api.all("/files", {"mission_id": self.mission_id})
+
+    def _blobs(self) -> list[tuple[Any, ...]]:
+        """State, key, size and SHA-256 of the live files' blobs, by path."""
+        return self.api.sql(
+            "SELECT b.state, b.key, b.size_bytes, encode(b.sha256, 'hex') FROM file f JOIN blob b ON b.id = f.blob_id"
+            " WHERE f.mission_id = %s AND f.deleted_at IS NULL ORDER BY f.path",
+            self.mission_id,
+        )
+
+    def _keys(self) -> dict[str, int]:
+        return self.site.run(lambda site: site.storage.sizes(""))
+
+    def _state(self, upload: dict[str, Any]) -> str | None:
+        rows = self.api.sql("SELECT state FROM upload WHERE id = %s", upload["id"])
+        return str(rows[0][0]) if rows else None
+
+    def _key(self, upload: dict[str, Any]) -> str:
+        rows = self.api.sql("SELECT key FROM upload WHERE id = %s", upload["id"])
+        return str(rows[0][0]) if rows else ""
+
+    def _holds(self, path: str) -> bool:
+        held = "SELECT 1 FROM upload WHERE mission_id = %s AND path = %s AND state IN ('open', 'completing')"
+        return bool(self.api.sql(held, self.mission_id, path)) or path in {file["path"] for file in self._files()}
+
+    def _see_that_damage_is_told(self, said: dict[str, str]) -> None:
+        for state, key, *_ in self._blobs():
+            if self.done_to.get(key) in said:
+                assert state == said[self.done_to[key]]
+
+
+async def _prove_all(site: Site) -> None:
+    async with site.database.begin() as db:
+        rows = (await db.execute(_ALL_BLOBS)).scalars().all()
+    courtesy = Courtesy(site.database, site.settings)
+    courtesy.end()
+    async with Readers() as readers:
+        given = {"site": site, "courtesy": courtesy, "readers": readers}
+        # The job as the worker runs it, its last try.
+        job = SimpleNamespace(attempts=99, priority=0)
+        context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
+        for blob_id in rows:
+            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(context, ref=str(blob_id))
