@@ -17,7 +17,7 @@ from tests.system.rig.disks import MIB, SmallDisk, need_small_disks, small_disk
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-_AWAY_S = 30.0
+_SILENT_S, _DYING_S = 18.0, 12.0
 _ROOM = 160 * MIB
 
 
@@ -35,12 +35,12 @@ def _files_of(house: House, mission: str) -> list[str]:
 def _away(house: House) -> None:
     """The store is away for half a minute: at first it takes connections, and no byte moves; then it dies, and again.
 
-    Dying, it is started again after ever longer pauses: the last of them comes on top.
+    Dying, it is started again after ever longer pauses, the last of which ends a moment after its last death.
     """
     pid = house.told()["parts"]["store"]
     os.kill(pid, signal.SIGSTOP)
-    threading.Event().wait(_AWAY_S / 2)
-    ends_at = time.monotonic() + _AWAY_S / 2
+    threading.Event().wait(_SILENT_S)
+    ends_at = time.monotonic() + _DYING_S
     while time.monotonic() < ends_at:
         with contextlib.suppress(ProcessLookupError):
             house.kill("store")
