@@ -144,7 +144,7 @@ def _stated(blobs: list[str]) -> dict[str, str]:
 
 @pytest.mark.timeout(300)
 def test_killed_anywhere(start_api: StartApi, sites: Sites, tmp_path: Path) -> None:
-    _rounds(start_api(), sites, tmp_path, seed=_SEED, count=3)
+    _rounds(start_api(), sites, tmp_path, seed=_SEED, count=2)
 
 
 @pytest.mark.soak
