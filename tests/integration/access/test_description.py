@@ -31,7 +31,7 @@ _MODES = (GenerationMode("positive"), GenerationMode("negative"))
 # The short round asks so many operations; requests each, by one of six kinds of asker, in the short and the long one.
 # To think of a request takes longer than to answer it.
 _SOME = 30
-_FEW, _MANY = 3, 18
+_FEW, _MANY = 3, 10
 
 # Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
 _NOT_HTTP = "Invalid HTTP request received."
