@@ -31,7 +31,7 @@ _MODES = (GenerationMode("positive"), GenerationMode("negative"))
 # The short round asks so many operations; requests each, by one of six kinds of asker, in the short and the long one.
 # To think of a request takes longer than to answer it.
 _SOME = 30
-_FEW, _MANY = 3, 10
+_FEW, _MANY, _VERY_MANY = 3, 10, 60
 
 # Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
 _NOT_HTTP = "Invalid HTTP request received."
@@ -142,4 +142,10 @@ def test_everything_is_answered_as_described(asked: Asked) -> None:
 @pytest.mark.timeout(900)
 def test_much_is_answered_as_described(asked: Asked) -> None:
     wrong = _ask_much(asked, _MANY)
+    assert not wrong, "\n\n".join(wrong)
+
+
+@pytest.mark.soak
+def test_very_much_is_answered_as_described(asked: Asked) -> None:
+    wrong = _ask_much(asked, _VERY_MANY)
     assert not wrong, "\n\n".join(wrong)
