@@ -194,6 +194,15 @@ def test_a_client_resumes_by_its_upload_and_learns_what_the_store_holds(api: Api
     assert api.get(f"/uploads/{started['id']}").ok()["parts"] == resumed["parts"]
 
 
+def test_who_says_the_same_twice_gets_what_the_first_began(api: Api, mission_id: str, one: bytes) -> None:
+    wished = str(uuid.uuid4())
+    said = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
+    assert [each["upload"]["id"] for each in said] == [wished, wished], "the first answer may have been lost"
+    other = begin(api, mission_id, {"other.bin": one}, upload_id=wished)[0]["upload"]
+    assert other["id"] != wished, "an id is used once"
+    assert begin(api, mission_id, {"run.bin": one})[0]["problem"]["code"] == "name_leased"
+
+
 def test_another_client_is_told_who_holds_the_name_and_until_when(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     decision = begin(api, mission_id, {"run.bin": one})[0]

@@ -6231,7 +6231,8 @@ export interface components {
          * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
          *
          *     Small files come with their sha256 at once, so that most are decided in one answer.
-         *     `upload_id` resumes an earlier upload of the same path and size.
+         *     `upload_id` resumes an earlier upload of the same path and size; where there is none, one begins by that id. So who
+         *     says the same twice, since an answer did not come, gets what the first began.
          */
         UploadFile: {
             /** Path */

@@ -7,7 +7,7 @@ import contextlib
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
@@ -49,14 +49,16 @@ class Candidate:
     source: Source
     journal: Journal
     whole: WholeHash | None = None
+    new_id: uuid.UUID = field(default_factory=uuid.uuid4)
 
     def announcement(self) -> UploadFile:
         """Return what the server is told."""
         said: dict[str, object] = {"path": self.source.file.path, "size_bytes": self.source.file.size_bytes}
         if self.whole is not None:
             said["sha256"] = self.whole.sha256.hexdigest()
-        if self.journal.remembered is not None:
-            said["upload_id"] = self.journal.remembered.upload_id
+        # By an id of our own: an answer may be lost, and its upload would hold the name against us.
+        remembered = self.journal.remembered
+        said["upload_id"] = self.new_id if remembered is None else remembered.upload_id
         return UploadFile.model_validate(said)
 
     def hash_whole(self, check: Callable[[], None]) -> None:

@@ -52,6 +52,11 @@ async def active_uploads(db: Connection, mission_id: uuid.UUID, path_keys: Colle
     return {row.path_key: row for row in await db.execute(statement)}
 
 
+async def used_ids(db: Connection, upload_ids: Collection[uuid.UUID]) -> frozenset[uuid.UUID]:
+    """Return those of some ids that an upload of anybody's has or had."""
+    return frozenset((await db.execute(select(upload.c.id).where(among(upload.c.id, upload_ids)))).scalars())
+
+
 async def twin_sizes(db: Connection, actor: Actor, sizes: Collection[int]) -> set[int]:
     """Return those of `sizes` of which `actor` may read a trusted blob: files of them are worth hashing first."""
     statement = select(blob.c.size_bytes).where(among(blob.c.size_bytes, sizes), _trusted_by(actor), _read_by(actor))

@@ -6,7 +6,7 @@ The store is never asked inside a transaction, and a name is never held without 
 import asyncio
 import datetime
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -148,7 +148,9 @@ async def _hold_names(
     batch = uuid.uuid4()
     # The database's clock, asked once: leases are compared with it, and machines' clocks differ.
     now = (await db.execute(select(func.now()))).scalar_one()
-    rows = [new_upload(site, actor.person_id, mission_id, batch, decision.wanted, now) for decision in begun]
+    asked_for = [decision.wanted.upload_id for decision in begun if decision.wanted.upload_id]
+    used = await queries.used_ids(db, asked_for) if asked_for else frozenset()
+    rows = [new_upload(site, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
     statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement, rows)}
     await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
@@ -162,9 +164,12 @@ def new_upload(
     batch: uuid.UUID,
     wanted: UploadFile,
     now: datetime.datetime,
+    *,
+    used: Collection[uuid.UUID] | None = None,
 ) -> dict[str, Any]:
-    """Return the row of an upload that begins."""
-    upload_id = uuid.uuid4()
+    """Return the row of an upload that begins: by the id wished for, where those `used` are told and it is not one."""
+    wished = wanted.upload_id
+    upload_id = uuid.uuid4() if wished is None or used is None or wished in used else wished
     return {
         "id": upload_id,
         "mission_id": mission_id,
