@@ -1,0 +1,136 @@
+"""The API and the database are ended and come back under twenty clients: each ends well, and nothing is doubled."""
+
+import contextlib
+import json
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+import urllib3
+
+from kleinkram.client import Client, connect
+from kleinkram.client.errors import ServerUnreachable
+from kleinkram.client.transfer import Outcome, plan_upload, upload
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.files import FileFilter
+from tests.acceptance.conftest import wait_until
+from tests.system import behind
+from tests.system.house import House
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+T = TypeVar("T")
+_CLIENTS, _FILES = 20, 6
+_PATIENCE_S = 60.0
+_FILES_OF_ALL = """
+    SELECT mission.name, file.path FROM file JOIN mission ON mission.id = mission_id WHERE mission.name LIKE 'client %%'
+"""
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[House]:
+    """A Kleinkram for this module."""
+    house = House(tmp_path_factory.mktemp("house"))
+    # Whose announcement was lost waits for the lease that it got; a minute of that shows no more than seconds.
+    house.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
+    house.start()
+    house.terminal.run("project", "create", "p")
+    yield house
+    house.end()
+
+
+def _connected(house: House) -> Client:
+    return connect(house.told()["url"], (house.data_dir / "owner-token").read_text().strip())
+
+
+def test_twenty_clients_read_and_upload_while_the_api_and_the_database_come_and_go(
+    house: House, tmp_path: Path
+) -> None:
+    files = [_write(tmp_path / f"{number}.bin") for number in range(_FILES)]
+    with _connected(house) as owner:
+        project_id = owner.projects.get("p").id
+        missions = [owner.missions.create(f"client {number}", project_id=project_id) for number in range(_CLIENTS)]
+    begun = threading.Event()
+
+    def work(number: int) -> None:
+        mission_id = missions[number].id
+        with _connected(house) as client:
+            for count, file in enumerate(files, start=1):
+                (sent,) = upload(client, mission_id, plan_upload([file])).results
+                assert sent.outcome in {Outcome.uploaded, Outcome.linked}, sent
+                begun.set()
+                there = _read(lambda: [*client.files.list(FileFilter(mission_id=mission_id))])
+                assert len(there) == count, "whoever uploaded sees it at once, and each file once"
+
+    with ThreadPoolExecutor(max_workers=_CLIENTS) as pool:
+        working = [pool.submit(work, number) for number in range(_CLIENTS)]
+        begun.wait(60)
+        for part, sign in (("api", signal.SIGKILL), ("api", signal.SIGTERM), ("postgres", signal.SIGKILL)):
+            _end_and_wait(house, part, sign)
+        for each in working:
+            each.result()
+    counted = Counter(behind.sql(house, _FILES_OF_ALL))
+    assert counted == Counter((f"client {number}", file.name) for number in range(_CLIENTS) for file in files)
+    behind.tidy(house)
+    assert behind.objects(house) == dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
+
+
+def _write(path: Path) -> Path:
+    path.write_bytes(os.urandom(20_000))
+    os.utime(path, (1_700_000_000, 1_700_000_000))
+    return path
+
+
+def _read(ask: Callable[[], T]) -> T:
+    """Ask as a script does that goes on when it was told that nobody is there: on a busy machine that takes seconds."""
+    gives_up_at = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < gives_up_at:
+        with contextlib.suppress(ServerUnreachable, DatabaseUnavailable):
+            return ask()
+    return ask()
+
+
+def _end_and_wait(house: House, part: str, sign: signal.Signals) -> None:
+    pid = house.told()["parts"][part]
+    os.kill(pid, sign)
+    wait_until(lambda: house.told()["parts"][part] not in {None, pid}, f"{part} to be started again")
+    wait_until(lambda: _status(house, "GET", "/health/ready", "")[0] == 200, "the API to be ready")
+
+
+def test_while_the_database_is_away_it_is_said_so_and_when_to_come_back(house: House) -> None:
+    token = (house.data_dir / "owner-token").read_text().strip()
+    change = ("POST", "/api/v1/projects", token, {"name": "made while it was away"})
+    reading = ("GET", "/api/v1/projects", token)
+    assert house.process is not None
+    house.process.send_signal(signal.SIGSTOP)  # who would start it again
+    try:
+        house.kill("postgres")
+        for asked in (change, reading):
+            status, retry_after, said = _status(house, *asked)
+            assert (status, said["code"]) == (503, "database_unavailable")
+            assert int(retry_after) > 0
+        refused = house.terminal.run("project", "list", code=7).err
+        assert "The database cannot be used (it does not answer). Nothing was lost; try again in a moment." in refused
+    finally:
+        house.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: _status(house, "GET", "/health/ready", "")[0] == 200, "the database to be back")
+    assert _status(house, *change)[0] == 201, "it had not been made"
+
+
+def _status(house: House, method: str, path: str, token: str, body: object = None) -> tuple[int, str, dict[str, str]]:
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    try:
+        answer = urllib3.request(
+            method, house.told()["url"] + path, json=body, headers=headers, timeout=30, retries=False
+        )
+    except urllib3.exceptions.HTTPError:
+        return 0, "", {}
+    is_json = "json" in answer.headers.get("Content-Type", "")
+    return answer.status, answer.headers.get("Retry-After", ""), json.loads(answer.data) if is_json else {}
