@@ -36,18 +36,18 @@ def tidy(house: House) -> None:
         for _ in range(2):
             await sweep_once(site)
 
-    _on_site(house, all_rounds)
+    on_site(house, all_rounds)
 
 
 def objects(house: House) -> dict[str, int]:
     """Return what its store holds for users: sizes in bytes by key."""
-    found = _on_site(house, lambda site: site.storage.sizes(""))
+    found = on_site(house, lambda site: site.storage.sizes(""))
     return {key: size for key, size in found.items() if not key.startswith(_PROBES)}
 
 
 def open_multiparts(house: House) -> list[tuple[str, str]]:
     """Return the multipart uploads that its store still keeps parts of."""
-    found = _on_site(house, lambda site: site.storage.open_multiparts(""))
+    found = on_site(house, lambda site: site.storage.open_multiparts(""))
     return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
 
 
@@ -59,10 +59,11 @@ def held_bytes(house: House) -> int:
         objects = await site.storage.sizes("")
         return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
 
-    return _on_site(house, weigh)
+    return on_site(house, weigh)
 
 
-def _on_site(house: House, work: Callable[[Site], Awaitable[T]]) -> T:
+def on_site(house: House, work: Callable[[Site], Awaitable[T]]) -> T:
+    """Do something with its database and its store, as a job would."""
     secrets = load_secrets(DataDir(house.data_dir))
     settings = Settings(
         database_url=_database_url(house),

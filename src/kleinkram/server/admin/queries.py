@@ -4,7 +4,6 @@ from typing import Any
 
 from sqlalchemy import Select, exists, func, select, text
 
-from kleinkram.contract.files import BlobState
 from kleinkram.server.tables import blob, file, mission, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 
@@ -36,12 +35,6 @@ def blobs_by_state() -> Select[Any]:
     """Return number and bytes of blobs by state."""
     stmt = select(blob.c.state, func.count().label("number"), _SUM).where(blob.c.doomed_at.is_(None))
     return stmt.group_by(blob.c.state).order_by(blob.c.state)
-
-
-def oldest_proof() -> Select[Any]:
-    """Return when the blob was proven whose proof is the oldest."""
-    proven = (blob.c.state == BlobState.proven.value, blob.c.doomed_at.is_(None))
-    return select(func.min(blob.c.proven_at)).where(*proven)
 
 
 def doomed_blobs() -> Select[Any]:

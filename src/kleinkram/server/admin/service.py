@@ -24,7 +24,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.blobs.scrubs import ask_for_scrub, last_scrub
+from kleinkram.server.blobs import scrubs
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import missing
 from kleinkram.server.home.service import is_low, store_use
@@ -74,13 +74,13 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     """Return the last scrub, and how the blobs are."""
-    last = await last_scrub(db, settings.store_id)
-    rows = (await db.execute(queries.blobs_by_state())).all()
+    last = await scrubs.last_scrub(db, settings.store_id)
+    rows = await scrubs.blobs_by_state(db)
     return ScrubState(
         last=None if last is None else _scrub(last),
         every_hours=settings.scrub_hours,
         again_after_days=settings.prove_again_days,
-        oldest_proof_at=(await db.execute(queries.oldest_proof())).scalar_one(),
+        oldest_proof_at=await scrubs.oldest_proof_at(db),
         blobs=[_amount(row.state, row) for row in rows],
     )
 
@@ -89,7 +89,7 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, belie
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
         raise NotAuthenticated(reason="a scrub is asked for by somebody")
-    row = await ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
+    row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
     return _scrub(row)

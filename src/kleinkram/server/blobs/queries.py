@@ -50,6 +50,20 @@ WAITING_AT_LEISURE = text(
 )
 
 
+def wanted_by_state() -> Select[Any]:
+    """Return number and bytes of blobs by state; of the lost and corrupt, those that something still refers to."""
+    said = (blob.c.state, func.count().label("number"), func.coalesce(func.sum(blob.c.size_bytes), 0))
+    well = blob.c.state.in_((BlobState.stored.value, BlobState.proven.value))
+    stmt = select(*said[:2], said[2].label("size_bytes")).where(blob.c.doomed_at.is_(None), or_(well, is_referred()))
+    return stmt.group_by(blob.c.state).order_by(blob.c.state)
+
+
+def oldest_proof() -> Select[Any]:
+    """Return when the blob was proven whose proof is the oldest."""
+    proven = (blob.c.state == BlobState.proven.value, blob.c.doomed_at.is_(None))
+    return select(func.min(blob.c.proven_at)).where(*proven)
+
+
 def proven_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
     """Return ids of the blobs whose proof is older, the oldest first."""
     old = (blob.c.state == BlobState.proven.value, blob.c.proven_at < at)

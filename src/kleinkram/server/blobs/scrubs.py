@@ -2,11 +2,13 @@
 
 import datetime
 import uuid
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, select, update
 
+from kleinkram.server.blobs import queries
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.settings import Settings
@@ -59,6 +61,17 @@ async def last_scrub(db: Connection, store_id: str) -> Row[Any] | None:
     """Return the scrub of a store that began last, with `now`."""
     stmt = select(scrub, func.now().label("now")).where(scrub.c.store_id == store_id)
     return (await db.execute(stmt.order_by(scrub.c.created_at.desc(), scrub.c.id).limit(1))).one_or_none()
+
+
+async def blobs_by_state(db: Connection) -> Sequence[Row[Any]]:
+    """Return number and bytes of blobs by state; of the lost and corrupt, those that something still refers to."""
+    return (await db.execute(queries.wanted_by_state())).all()
+
+
+async def oldest_proof_at(db: Connection) -> datetime.datetime | None:
+    """Return when the blob was proven whose proof is the oldest."""
+    found: datetime.datetime | None = (await db.execute(queries.oldest_proof())).scalar_one()
+    return found
 
 
 async def start(db: Connection, scrub_id: uuid.UUID) -> Row[Any] | None:

@@ -1,0 +1,72 @@
+"""A store that lies: scrub and proof say so, and uploading the same files again mends them. As a lab would see it."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kleinkram.server.site import Site
+from tests.system import behind
+from tests.system.house import House
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+_HARM = {"gone.bin": ("lost", "no longer"), "cut.bin": ("corrupt", "1000 bytes"), "altered.bin": ("corrupt", "CRC-64")}
+
+
+def _harm(house: House, bodies: dict[str, bytes]) -> None:
+    """Do behind the server's back to each object what its file's name says."""
+    keys = dict(behind.sql(house, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
+    altered = bodies["altered.bin"]
+
+    async def do(site: Site) -> None:
+        await site.storage.delete(keys["gone.bin"])
+        await site.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await site.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+
+    behind.on_site(house, do)
+
+
+def _states(terminal: Any) -> dict[str, tuple[str, str | None]]:
+    told = terminal.run("mission", "info", "-p", "p", "-m", "m", "--json").json()
+    return {file["path"]: (file["state"], file["state_reason"]) for file in told["files"]}
+
+
+def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp_path: Path) -> None:
+    house.start()
+    terminal, folder = house.terminal, tmp_path / "day"
+    folder.mkdir()
+    bodies = {name: os.urandom(5000) for name in (*_HARM, "good.bin", "better.bin")}
+    for name, body in bodies.items():
+        (folder / name).write_bytes(body)
+    terminal.run("project", "create", "p")
+    terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m", "--create")
+    terminal.run("verify", "--remote", "-p", "p", "-m", "m")
+    assert terminal.run("admin", "scrub", "--json").json()["last"]["compared"] == len(bodies)
+    _harm(house, bodies)
+
+    scrubbed = terminal.run("admin", "scrub", code=9)
+    assert "newly lost:    1" in scrubbed.out
+    assert "newly corrupt: 1" in scrubbed.out
+    verified = terminal.run("verify", "--remote", "-p", "p", "-m", "m", code=9)
+    assert "Upload it again to mend it." in verified.err
+    states = _states(terminal)
+    for name, (state, why) in _HARM.items():
+        assert states[name][0] == state
+        assert why in str(states[name][1])
+        assert why in terminal.run("file", "info", name, "-p", "p", "-m", "m").out
+    assert states["good.bin"] == ("proven", None)
+    shown = terminal.run("mission", "info", "-p", "p", "-m", "m").out
+    assert "WHAT DIFFERS" in shown
+    terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "none", code=9)
+
+    terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m")
+    assert "same" in terminal.run("verify", "--remote", "-p", "p", "-m", "m").out
+    assert set(_states(terminal).values()) == {("proven", None)}
+    again = terminal.run("admin", "scrub", "--json").json()
+    assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["stopped"]) == (0, 0, None)
+    terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "back").rglob("*.bin")} == bodies
+    behind.tidy(house)
+    assert len(behind.objects(house)) == len(bodies), "what was damaged went with the sweep"
