@@ -23,6 +23,7 @@ from benchmarks.measure import Pairing, Run, pair, run_side
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
+from benchmarks.scale.rows import scale_rows, small_files
 from benchmarks.signing_in import sign_in_row
 from benchmarks.web import web_rows
 from kleinkram.recordings.sample import generate_bag, generate_mcap
@@ -44,7 +45,10 @@ ROWS = {
     "web",
     "runs",
     "claims",
+    "scale",
 }
+# How many times 200 000 files there are, in turn.
+SIZES = [int(size) for size in os.environ.get("KLEINKRAM_BENCH_SCALE", "1,10").split(",")]
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
@@ -79,6 +83,9 @@ def main() -> None:
         rows += rows_of_runs(wanted)
     if "web" in wanted:
         rows += rows_of_the_web()
+    if "scale" in wanted:
+        for size in SIZES:
+            rows += rows_of_a_size(size)
     (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     print_table(rows)
 
@@ -109,6 +116,55 @@ def rows_of_runs(wanted: set[str]) -> list[dict[str, object]]:
             mission_id = mission_with("claims", random_file(STAGE / "claims.bin", 1000))
             rows.append(claims_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id))
     return rows
+
+
+def rows_of_a_size(size: int) -> list[dict[str, object]]:
+    """Measure an instance filled to a size."""
+    shutil.rmtree(DATA, ignore_errors=True)
+    with instance() as environment:
+        owner_token = (DATA / "owner-token").read_text().strip()
+        secret = json.loads((DATA / "secrets.json").read_text())["postgres_migrate"]
+        address = environment["KLEINKRAM_DATABASE_URL"].split("@", 1)[1]
+        owner_url = f"postgresql://kleinkram_migrate:{secret}@{address}"
+        rows = scale_rows(size, told()["url"], owner_token, environment, owner_url=owner_url)
+        if size == 1:
+            rows += many_small_rows(environment)
+    return rows
+
+
+def many_small_rows(environment: dict[str, str]) -> list[dict[str, object]]:
+    """10 000 files of 10 kB in one mission, up and down."""
+    klein("project", "create", "bench")
+    number = 0
+
+    def fresh() -> Path:
+        nonlocal number
+        number += 1
+        folder = small_files(STAGE / f"many-{number}", 10_000, 10_000)
+        klein("mission", "create", folder.name, "-p", "bench")
+        return folder
+
+    def up() -> Run:
+        folder = fresh()
+        return run_side("upload_ours", "bench", folder.name, str(folder), environment=environment)
+
+    def up_raw() -> Run:
+        return run_side("upload_raw", *sorted(map(str, fresh().iterdir())), environment=environment)
+
+    pairing = pair(up, up_raw, pairs=2)
+    settle()
+
+    def down(name: str) -> Run:
+        destination = STAGE / "many-down"
+        shutil.rmtree(destination, ignore_errors=True)
+        destination.mkdir()
+        return run_side(name, "many-1", str(destination), environment=environment)
+
+    back = pair(lambda: down("download_ours"), lambda: down("download_raw"), pairs=2)
+    return [
+        ratio_row("10 000 files of 10 kB up", pairing, 0.5),
+        ratio_row("10 000 files of 10 kB down, verified", back, 0.5),
+    ]
 
 
 def mission_with(name: str, source: Path) -> str:

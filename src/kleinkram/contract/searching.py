@@ -39,7 +39,8 @@ class SearchRead(BaseModel):
 
     `query` is the text in its own order and spelling; `filter` is what it means. Missions are those that match by what
     they say themselves, and those of files that match. Their lists go on at `/missions` and `/files` with the same
-    `query` and `sort=-start`.
+    `query` and `sort=-start`. Not `is_whole` where very many files match: then every number of missions, files and
+    topics is an estimate, in two digits, and the topics are those of files drawn by lot.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -49,6 +50,7 @@ class SearchRead(BaseModel):
     missions: Page[MissionRead]
     files: Page[FileRead]
     topics: Page[TopicFound]
+    is_whole: bool = True
 
 
 class FacetValue(BaseModel):

@@ -70,9 +70,12 @@ async def fetch_page(
     keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
     paged = statement.add_columns(*keys).limit(request.limit + 1)
     if request.cursor:
-        after = tuple_(*(literal(value) for value in _decode(request.cursor, order)))
-        row = tuple_(*order.columns)
-        paged = paged.where(row < after if order.descending else row > after)
+        given = _decode(request.cursor, order)
+        after = tuple_(*(literal(value) for value in given))
+        row, first = tuple_(*order.columns), order.columns[0]
+        # The first column is said once more, by itself: where the others are of other tables, its index still serves.
+        ahead = first <= literal(given[0]) if order.descending else first >= literal(given[0])
+        paged = paged.where(ahead, row < after if order.descending else row > after)
     paged = paged.order_by(*(column.desc() if order.descending else column.asc() for column in order.columns))
     try:
         rows = (await db.execute(paged)).all()
@@ -83,6 +86,15 @@ async def fetch_page(
     more = len(rows) > request.limit
     items = rows[: request.limit]
     return Rows(items, _encode(items[-1], order) if more else None, total)
+
+
+def place_of(cursor: str, order: Order) -> list[Any]:
+    """Return the values of an order's columns after which the page of a cursor begins.
+
+    Raises:
+        InvalidCursor: the cursor is not one of a list in this order.
+    """
+    return _decode(cursor, order)
 
 
 def _encode(row: Row[Any], order: Order) -> str:

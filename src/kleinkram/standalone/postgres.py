@@ -30,7 +30,8 @@ STOP_SIGNAL = signal.SIGINT
 _SETTINGS = {
     "listen_addresses": "127.0.0.1",
     "unix_socket_directories": "",
-    "shared_buffers": "16MB",
+    # Takes memory only as far as there is data to fill it.
+    "shared_buffers": "128MB",
     "max_connections": "40",
     "io_method": "sync",
     "jit": "off",

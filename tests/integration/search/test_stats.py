@@ -88,7 +88,7 @@ def test_groups(api: Api, project: Any, by: str, rows: list[dict[str, Any]]) -> 
     with api.statements() as statements:
         stats = api.get("/stats", {"project_id": project["id"], "by": by}).ok()
     assert (stats["by"], stats["rows"], stats["total"]) == (by, rows, TOTAL)
-    assert len(statements) == 3  # who, groups, all
+    assert len(statements) == 4  # who, room to count, groups, all
 
 
 def test_by_project_and_mission(api: Api, project: Any) -> None:

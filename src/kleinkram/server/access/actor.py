@@ -66,6 +66,9 @@ class Actor:
     operation: str | None = None
     # All missions that they see, where that was asked and these are few.
     few_mission_ids: frozenset[uuid.UUID] | None = None
+    # Of the words of their search, those by which its files are looked up; or that it finds very many.
+    rare_words: frozenset[str] = frozenset()
+    finds_many: bool = False
 
     @property
     def ref(self) -> PersonRef | None:

@@ -20,6 +20,7 @@ from sqlalchemy import (
     or_,
     select,
     true,
+    tuple_,
     update,
 )
 from sqlalchemy.dialects.postgresql import array
@@ -30,8 +31,9 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files
+from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import among
+from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.search.topics import topic_rows
@@ -164,9 +166,9 @@ def file_order(actor: Actor, sort: FileSort) -> Order:
     key = sort.value.removeprefix("-")
     if key == "path":
         return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
-    # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen: the
-    # database would walk it past nearly all files to find theirs.
-    first = _FIRST if actor.few_mission_ids is None else _FIRST + 1
+    # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen, or few
+    # files found: the database would walk it past nearly all files to find these.
+    first = _FIRST if actor.few_mission_ids is None and not actor.rare_words else _FIRST + 1
     unknown = literal(first if descending else _LAST, BigInteger)
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,
@@ -174,6 +176,28 @@ def file_order(actor: Actor, sort: FileSort) -> Order:
         "start": func.coalesce(blob.c.start_ns, unknown),
     }
     return Order([columns[key], file.c.id], descending)
+
+
+def count_all(actor: Actor) -> Select[Any]:
+    """Return the number of all visible files, as their missions know it."""
+    total = func.coalesce(func.sum(file_amounts(actor)[0]), 0)
+    return visible_missions(actor).with_only_columns(total, maintain_column_froms=True)
+
+
+def missions_ahead(
+    actor: Actor, matching: FileFilter, *, descending: bool, after: Sequence[str], limit: int
+) -> Select[Any]:
+    """Return the ids of the first missions of a list by path, from those named `after` (project and mission) on."""
+    named = (project.c.name, mission.c.name)
+    stmt = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    if matching.project_id is not None:
+        stmt = stmt.where(project.c.id == matching.project_id)
+    if after:
+        place, row = tuple_(*(literal(name) for name in after)), tuple_(*named)
+        ahead = project.c.name <= after[0] if descending else project.c.name >= after[0]
+        stmt = stmt.where(ahead, row <= place if descending else row >= place)
+    in_order = [name.desc() if descending else name for name in (*named, mission.c.id)]
+    return stmt.order_by(*in_order).limit(limit)
 
 
 def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:

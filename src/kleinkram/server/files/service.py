@@ -3,6 +3,7 @@
 import datetime
 import uuid
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row, func
@@ -78,6 +79,10 @@ async def list_files(
         InvalidCursor: the cursor is not of this list.
     """
     found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
+    if page.count and matching == FileFilter():
+        total = int((await db.execute(queries.count_all(actor))).scalar_one())
+        listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
+        return listed.model_copy(update={"total": total})
     rows = await _first_missions(db, actor, matching, order, page) if sort in _BY_PATH else None
     if rows is None:
         rows = await fetch_page(db, queries.file_rows(found), order, page, counted=found)

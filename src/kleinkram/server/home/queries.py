@@ -7,6 +7,7 @@ from sqlalchemy import Select, func, select, text, union
 from kleinkram.contract.files import BlobState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
+from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.tables import blob, file, mission, project, scrub, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
@@ -84,10 +85,11 @@ def unsatisfied_missions(actor: Actor, *, limit: int) -> Select[Any]:
 
 def storage_by_project(actor: Actor, *, limit: int) -> Select[Any]:
     """Return what is kept in each project that somebody sees, the largest first."""
-    inside = visible_files(actor).with_only_columns(
+    files, in_bytes = file_amounts(actor)
+    inside = visible_missions(actor).with_only_columns(
         mission.c.project_id,
-        func.count().label("files"),
-        func.sum(blob.c.size_bytes).label("size_bytes"),
+        func.sum(files).label("files"),
+        func.sum(in_bytes).label("size_bytes"),
         maintain_column_froms=True,
     )
     sums = inside.group_by(mission.c.project_id).subquery()

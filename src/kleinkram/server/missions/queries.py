@@ -5,7 +5,6 @@ from collections.abc import Collection
 from typing import Any
 
 from sqlalchemy import (
-    ARRAY,
     BigInteger,
     ColumnElement,
     Row,
@@ -15,13 +14,11 @@ from sqlalchemy import (
     func,
     literal,
     select,
-    type_coerce,
     update,
 )
-from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.files import BlobState, ContentState, FileFilter
+from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -30,32 +27,17 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     level_on_mission,
     sees_whole_missions,
-    shown_files,
     shown_span,
     visible_missions,
     visible_projects,
 )
+from kleinkram.server.missions.amounts import amounts
 from kleinkram.server.pages import Order
+from kleinkram.server.search.looking import drawn_missions
 from kleinkram.server.search.matching import narrow_missions, narrow_missions_found
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
-
-
-def _amounts(actor: Actor) -> ColumnElement[Any]:
-    # One look at the mission's files for all four numbers, and only for the rows that a page shows.
-    # What costs too much to be summarised is read by the proof; bytes that are damaged wait for nothing.
-    scanned_later = (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
-    pending = func.count().filter(blob.c.summarised_at.is_(None) | scanned_later)
-    numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), pending)
-    return (
-        select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
-        .join_from(file, blob, blob.c.id == file.c.blob_id)
-        .where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
-        .correlate(mission)
-        .scalar_subquery()
-        .label("amounts")
-    )
 
 
 def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
@@ -68,7 +50,7 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         level_on_mission(actor).label("level"),
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
-        _amounts(actor),
+        amounts(actor).label("amounts"),
     )
     return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
@@ -147,6 +129,18 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
     """Return the visible missions that match, among those that a query of files finds, where there is one."""
     narrowed = narrow_missions(actor, visible_missions(actor), matching)
     return mission_rows(actor, narrowed if found is None else narrow_missions_found(actor, narrowed, found))
+
+
+def count_drawn(actor: Actor, found: FileFilter) -> Select[Any]:
+    """Return `hits`: how many of the missions drawn by lot a query finds; of how many `drawn`, and the `last`."""
+    drawn = drawn_missions()
+    within = visible_missions(actor).where(mission.c.id.in_(select(drawn.c.id)))
+    hits = narrow_missions_found(actor, within, found).with_only_columns(mission.c.id, maintain_column_froms=True)
+    return select(
+        select(func.count()).select_from(hits.subquery()).scalar_subquery().label("hits"),
+        select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
+        select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
+    )
 
 
 def mission_order(actor: Actor, sort: MissionSort) -> Order:

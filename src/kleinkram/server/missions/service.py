@@ -37,6 +37,7 @@ from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import prefilled, write_template
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.quotas.service import require_room_for_mission
+from kleinkram.server.search.looking import estimate_missions
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 
@@ -111,6 +112,16 @@ async def list_missions(
     statement = queries.matching_missions(actor, matching, found)
     rows = await fetch_page(db, statement, queries.mission_order(actor, sort), page)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int:
+    """Return about how many missions a query finds that finds very many files; exactly, where there are few missions.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    row = (await db.execute(queries.count_drawn(actor, found))).one()
+    return 0 if row.last is None else estimate_missions(row.hits, row.drawn, row.last.int)
 
 
 async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID, wanted: MissionCreate) -> MissionRead:

@@ -14,13 +14,12 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     level_on_project,
     sees_whole_missions,
-    shown_files,
-    shown_recordings,
     visible_projects,
 )
+from kleinkram.server.missions.amounts import duration, file_amounts
 from kleinkram.server.pages import Order
 from kleinkram.server.search.matching import narrow_projects
-from kleinkram.server.tables import blob, file, mission, person, project, recording, upload
+from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 
 
@@ -33,23 +32,13 @@ def _amounts(*numbers: ColumnElement[Any]) -> Select[Any]:
     )
 
 
-def _mission_amounts(actor: Actor) -> ColumnElement[Any]:
+def _contents(actor: Actor) -> ColumnElement[Any]:
     unsatisfied: ColumnElement[Any] = literal(0)
     if sees_whole_missions(actor):
         unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
-    return _amounts(func.count(), unsatisfied).select_from(mission).scalar_subquery().label("missions")
-
-
-def _file_amounts(actor: Actor) -> ColumnElement[Any]:
-    stmt = _amounts(func.count(), func.sum(blob.c.size_bytes)).where(file.c.deleted_at.is_(None), shown_files(actor))
-    joined = stmt.join_from(mission, file, file.c.mission_id == mission.c.id).join(blob, blob.c.id == file.c.blob_id)
-    return joined.scalar_subquery().label("files")
-
-
-def _duration(actor: Actor) -> ColumnElement[Any]:
-    stmt = _amounts(func.sum(recording.c.end_ns - recording.c.start_ns))
-    joined = stmt.join_from(mission, recording, recording.c.mission_id == mission.c.id).where(shown_recordings(actor))
-    return joined.scalar_subquery().label("recordings")
+    files, size_bytes = file_amounts(actor)
+    numbers = (func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(duration(actor)))
+    return _amounts(*numbers).select_from(mission).scalar_subquery().label("contents")
 
 
 def _upload_amounts(actor: Actor) -> ColumnElement[Any]:
@@ -73,15 +62,13 @@ def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     is_whole = literal(sees_whole_missions(actor)).label("is_whole")
     knows_drafts = literal(_knows_drafts(actor)).label("knows_drafts")
     level = level_on_project(actor).label("level")
-    amounts = (_mission_amounts(actor), _file_amounts(actor), _upload_amounts(actor), _duration(actor))
-    extra = stmt.add_columns(name, is_whole, knows_drafts, level, *amounts)
+    extra = stmt.add_columns(name, is_whole, knows_drafts, level, _contents(actor), _upload_amounts(actor))
     return extra.join(person, person.c.id == project.c.created_by_id)
 
 
 def to_project(row: Row[Any]) -> ProjectRead:
     """Return the project that a row of `project_rows` stands for."""
-    mission_count, unsatisfied = (int(number) for number in row.missions)
-    file_count, size_bytes = (int(number) for number in row.files)
+    mission_count, unsatisfied, file_count, size_bytes, duration_ns = (int(number) for number in row.contents)
     upload_count, upload_bytes = (int(number) for number in row.uploads)
     return ProjectRead(
         id=row.id,
@@ -93,7 +80,7 @@ def to_project(row: Row[Any]) -> ProjectRead:
         mission_count=mission_count,
         file_count=file_count,
         size_bytes=size_bytes,
-        duration_ns=int(row.recordings[0]),
+        duration_ns=duration_ns,
         unsatisfied_mission_count=unsatisfied,
         is_public=row.is_public,
         licence=row.licence,

@@ -29,6 +29,7 @@ from kleinkram.recordings.rosbag2.folder import combine_folder
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
+from kleinkram.server.missions import amounts
 from kleinkram.server.tables import blob, file, mission, recording, topic
 
 _INSERT_BATCH = 1000
@@ -199,11 +200,8 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
         )
         await db.execute(statement.values(recording_id=bindparam("b_recording")), links)
     start_ns, end_ns = _span(derived)
-    await db.execute(
-        update(mission)
-        .where(mission.c.id == mission_id)
-        .values(start_ns=start_ns, end_ns=end_ns, derived_revision=mission.c.files_revision)
-    )
+    derived_revision = mission.c.files_revision
+    await db.execute(amounts.keep(mission_id, start_ns=start_ns, end_ns=end_ns, derived_revision=derived_revision))
     await tell(db, [Notice("recording", ChangeKind.changed, mission_id=mission_id)])
 
 

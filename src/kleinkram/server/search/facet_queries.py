@@ -3,7 +3,8 @@
 One statement for all facets: each filter is looked up once, and no more than `most` of its files are counted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import (
@@ -31,6 +32,7 @@ from kleinkram.contract.query.keys import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.search import choosing
+from kleinkram.server.search.looking import drawn_files
 from kleinkram.server.search.matching import narrow_files, narrow_topics
 from kleinkram.server.tables import blob, file, mission, project, topic
 
@@ -42,29 +44,44 @@ PLAIN_FACETS = ("project", "format", "content", "month", "label", "topic", "type
 _FIELD = "^[A-Za-z][A-Za-z0-9_]*$"
 
 
-def facet_rows(actor: Actor, matching: FileFilter, *, most: int) -> CompoundSelect[Any]:
+def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
+    """Return the filters whose files are counted: the whole one, and without each thing that is chosen."""
+    names = [*PLAIN_FACETS, *(META + field for field in choosing.fields(matching) if sees_whole_missions(actor))]
+    without = [choosing.without(matching, name) for name in names]
+    return [matching, *(each for each in without if each != matching)]
+
+
+def facet_rows(
+    actor: Actor, matching: FileFilter, *, most: int, many: Collection[FileFilter] = ()
+) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 
     The row of the empty facet holds how many files were looked at. A facet of which something is chosen counts the
-    files that would be found if nothing of it were, so that its numbers say what another choice would find.
+    files that would be found if nothing of it were, so that its numbers say what another choice would find. Of the
+    filters that find `many`, only files drawn by lot are looked at.
     """
-    base = _found(actor, matching, "found", most)
+
+    def found_by(each: FileFilter, name: str) -> CTE:
+        is_drawn = each in many
+        return _found(replace(actor, finds_many=is_drawn), each, name, most, is_drawn=is_drawn)
+
+    base = found_by(matching, "found")
     looked_at = _row(literal(""), literal(""), func.count(), literal(1, BigInteger)).select_from(base)
     parts: list[Select[Any]] = [looked_at]
     for facet in PLAIN_FACETS:
         is_chosen = choosing.without(matching, facet) != matching
-        found = _found(actor, choosing.without(matching, facet), f"but_{facet}", most) if is_chosen else base
+        found = found_by(choosing.without(matching, facet), f"but_{facet}") if is_chosen else base
         parts.append(_top(facet, _counted(facet, found, choosing.without(matching, facet))))
     if sees_whole_missions(actor):
         asked = choosing.fields(matching)
         parts.append(_fields(base, None, leaving_out=asked))
         for number, field in enumerate(asked):
             open_ = choosing.without(matching, META + field)
-            parts.append(_fields(_found(actor, open_, f"but_field_{number}", most), field))
+            parts.append(_fields(found_by(open_, f"but_field_{number}"), field))
     return union_all(*(select(part.subquery()) for part in parts))
 
 
-def _found(actor: Actor, matching: FileFilter, name: str, most: int) -> CTE:
+def _found(actor: Actor, matching: FileFilter, name: str, most: int, *, is_drawn: bool) -> CTE:
     columns = (
         file.c.id,
         file.c.blob_id,
@@ -76,19 +93,24 @@ def _found(actor: Actor, matching: FileFilter, name: str, most: int) -> CTE:
         blob.c.start_ns,
     )
     found = narrow_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
+    if is_drawn:
+        found = found.where(file.c.id.in_(select(drawn_files().c.id)))
     return found.limit(most).cte(name).prefix_with("MATERIALIZED")
 
 
 def _counted(facet: str, found: CTE, matching: FileFilter) -> Select[Any]:
     """Return `value` and `file_count` of a facet; topic and type are asked of one topic together."""
     if facet in {"topic", "type"}:
-        named = topic.c.name if facet == "topic" else topic.c.message_type
+        # Read from the index by blob alone, which holds name and type.
         blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
-        each = select(blobs.c.blob_id, blobs.c.files, named.label("value")).distinct()
-        each = narrow_topics(each.join_from(blobs, topic, topic.c.blob_id == blobs.c.blob_id), matching)
-        once = each.where(named.is_not(None)).subquery()
-        file_count = cast(func.sum(once.c.files), BigInteger)
-        return select(once.c.value, file_count.label("file_count")).group_by(once.c.value)
+        named = topic.c.name if facet == "topic" else topic.c.message_type
+        each = narrow_topics(select(named.label("value")).where(topic.c.blob_id == blobs.c.blob_id), matching)
+        # Said of the name too, although each has one: else the index of types is taken, and skipped through by blob.
+        once = each.where(named.is_not(None)).group_by(named).having(func.count(topic.c.name) > 0).lateral("once")
+        file_count = cast(func.sum(blobs.c.files), BigInteger)
+        return (
+            select(once.c.value, file_count.label("file_count")).join_from(blobs, once, true()).group_by(once.c.value)
+        )
     if facet == "label":
         label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
         stmt = select(label.c.value, func.count(distinct(found.c.id)).label("file_count"))

@@ -15,11 +15,12 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import choosing
-from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows
+from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, variants
+from kleinkram.server.search.looking import look_ahead
 from kleinkram.server.search.queries import room_to_count
 
 # Files that are looked at, and for how long; fewer where that takes too long.
-_ATTEMPTS = ((20_000, 5_000), (1_000, 2_000))
+_ATTEMPTS = ((2_000, 5_000), (200, 2_000))
 
 
 async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
@@ -31,24 +32,39 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
         InvalidQuery: the query cannot be read; says which word, at which column.
     """
     matching = parse(text)
+    each = variants(actor, matching)
+    actor, outlook = await look_ahead(db, actor, *each)
+    many = [] if outlook is None else [found for number, found in enumerate(each) if outlook.finds_many(number)]
     for most, milliseconds in _ATTEMPTS:
-        rows = await _within(db, actor, matching, most=most, milliseconds=milliseconds)
+        rows = await _within(db, actor, matching, many, most=most, milliseconds=milliseconds)
         if rows is not None:
             looked_at = next(row.file_count for row in rows if not row.facet)
             facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
-            return FacetsRead(query=render(matching), file_count=looked_at, is_whole=looked_at < most, facets=facets)
+            is_whole = looked_at < most and matching not in many
+            return FacetsRead(
+                query=render(matching),
+                file_count=looked_at,
+                is_whole=is_whole,
+                facets=facets,
+            )
     return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
 
 
 async def _within(
-    db: Connection, actor: Actor, matching: FileFilter, *, most: int, milliseconds: int
+    db: Connection,
+    actor: Actor,
+    matching: FileFilter,
+    many: Sequence[FileFilter],
+    *,
+    most: int,
+    milliseconds: int,
 ) -> Sequence[Row[Any]] | None:
     """Return the rows of all facets, or None where that takes too long."""
     try:
         async with db.begin_nested():
             await db.execute(room_to_count())
             await db.execute(select(func.set_config("statement_timeout", str(milliseconds), True)))
-            return (await db.execute(facet_rows(actor, matching, most=most))).all()
+            return (await db.execute(facet_rows(actor, matching, most=most, many=many))).all()
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.QueryCanceled):
             return None

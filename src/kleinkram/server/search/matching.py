@@ -1,17 +1,21 @@
 """What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
 
 import datetime
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 from unicodedata import normalize
 
 from sqlalchemy import (
+    BigInteger,
     ColumnElement,
-    FromClause,
+    CompoundSelect,
     Integer,
+    Numeric,
     Select,
     Text,
     and_,
+    any_,
     bindparam,
     case,
     cast,
@@ -21,6 +25,7 @@ from sqlalchemy import (
     select,
     true,
     type_coerce,
+    union_all,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
@@ -35,7 +40,7 @@ from kleinkram.server.access.visible import sees_whole_missions, shown_files, sh
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.where import condition
-from kleinkram.server.tables import blob, file, mission, project, topic
+from kleinkram.server.tables import blob, file, mission, project, topic, topic_name
 
 Conditions = list[ColumnElement[bool]]
 # What a filter of files says that can be said of a mission itself.
@@ -45,6 +50,10 @@ _SAID_OF_MISSIONS = frozenset(
         "without",
     }
 )
+# Where files stand in the index of times that have none.
+_NEVER = -(2**63)
+# What JSON writes otherwise than it is.
+_ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 _UNSEEN = "what you came with does not show metadata of missions"
 
 
@@ -69,7 +78,7 @@ def _conditions(actor: Actor, matching: MissionFilter) -> Conditions:
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, _mission_holds if sees_whole_missions(actor) else _mission_is_named)
+    conditions += _words(matching.text, lambda word: _mission_found(actor, word))
     if matching.topic or matching.message_type:
         conditions.append(_mission_has_topic([shown_files(actor), *_topic_conditions(matching)]))
     if matching.completed is not None:
@@ -85,7 +94,7 @@ def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Selec
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    return stmt.where(*_of_files(actor, matching))
+    return stmt.where(*file_conditions(actor, matching))
 
 
 def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
@@ -96,11 +105,25 @@ def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter)
     """
     if matching == FileFilter():
         return stmt
-    files = narrow_files(actor, visible_files(actor), matching)
-    by_files = mission.c.id.in_(files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None))
-    return stmt.where(
-        or_(by_files, and_(true(), *_of_missions(actor, matching))) if _says_of_missions(matching) else by_files
-    )
+    by_files = _by_files(actor, matching)
+    if not _says_of_missions(matching):
+        return stmt.where(mission.c.id.in_(by_files) if isinstance(by_files, Select) else by_files)
+    own = _of_missions(actor, matching)
+    if not isinstance(by_files, Select):
+        return stmt.where(or_(by_files, and_(true(), *own)))
+    # Each looked up by itself: with OR, every mission there is would be looked at.
+    by_itself = select(mission.c.id).join(project, project.c.id == mission.c.project_id).where(*own)
+    return stmt.where(mission.c.id.in_(union_all(by_files, by_itself.correlate(None))))
+
+
+def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement[bool]:
+    if not actor.finds_many:
+        files = narrow_files(actor, visible_files(actor), matching)
+        return files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
+    # Most missions have some: one is soon met. The mission around it is visible, so only its files are asked about.
+    inside = select(file.c.id).outerjoin(blob, blob.c.id == file.c.blob_id)
+    live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+    return inside.where(*live, *file_conditions(actor, matching)).correlate(mission, project).exists()
 
 
 def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
@@ -114,9 +137,24 @@ def words_in(column: ColumnElement[str], matching: FileFilter) -> ColumnElement[
     return sum(held, literal(0, Integer))
 
 
-def _of_files(actor: Actor, matching: FileFilter) -> Conditions:
+def word_condition(actor: Actor, word: str) -> ColumnElement[bool]:
+    """Return the condition that a file holds a word: in path or labels, topics, its mission or project."""
+    if word in actor.rare_words:
+        return file.c.id.in_(_files_holding(actor, word))
+    in_mission = _mission_holds if sees_whole_missions(actor) else _mission_is_named
+    # The cheapest to look at first.
+    return or_(*_path_or_label_holds(word), in_mission(word), _blob_has_topic(_topic_holds(word)))
+
+
+def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
+    """Return what must hold of `file`, `mission`, `project` and `blob` for a filter of files.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
     _refuse_metadata(actor, matching)
-    conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _bytes(matching)
+    conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _begun(matching)
+    conditions += _bytes(matching)
     if matching.mission is not None:
         conditions.append(matches_key(mission.c.name_key, matching.mission))
     if matching.mission_id is not None:
@@ -128,11 +166,10 @@ def _of_files(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
-    in_mission = _mission_holds if sees_whole_missions(actor) else _mission_is_named
-    conditions += _words(matching.text, lambda word: or_(_its_mission(in_mission, word), *_file_holds(word)))
+    conditions += _words(matching.text, lambda word: word_condition(actor, word))
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
-    return conditions + [_fails(_of_files(actor, parse_term(term))) for term in matching.without]
+    return conditions + [_fails(file_conditions(actor, parse_term(term))) for term in matching.without]
 
 
 def _of_missions(actor: Actor, matching: FileFilter) -> Conditions:
@@ -176,6 +213,21 @@ def _span(
         conditions.append(end >= nanoseconds(matching.recorded_after))
     if matching.recorded_before is not None:
         conditions.append(start <= nanoseconds(matching.recorded_before))
+    return conditions
+
+
+def _begun(matching: FileFilter) -> Conditions:
+    """Return what follows of a span for when a file begins, said as the index of that has it."""
+    conditions: Conditions = []
+    begun = func.coalesce(blob.c.start_ns, literal(_NEVER, BigInteger))
+    if matching.recorded_before is not None:
+        conditions.append(begun <= nanoseconds(matching.recorded_before))
+    if matching.recorded_after is not None and (after_ns := nanoseconds(matching.recorded_after)) > 0:
+        # Not longer before than the longest of all files lasts.
+        lasted = cast(blob.c.end_ns, Numeric) - cast(blob.c.start_ns, Numeric)
+        longest = select(func.max(lasted)).correlate(None).scalar_subquery()
+        first = func.greatest(literal(after_ns, BigInteger) - func.coalesce(longest, 0), literal(_NEVER, BigInteger))
+        conditions.append(begun >= cast(first, BigInteger))
     return conditions
 
 
@@ -252,34 +304,58 @@ def _project_is_named(word: str) -> ColumnElement[bool]:
     return key_holds_word(project.c.name_key, word)
 
 
-def _mission_is_named(word: str, of: FromClause = mission, within: FromClause = project) -> ColumnElement[bool]:
-    return or_(key_holds_word(of.c.name_key, word), key_holds_word(within.c.name_key, word))
+def _mission_is_named(word: str) -> ColumnElement[bool]:
+    return or_(key_holds_word(mission.c.name_key, word), key_holds_word(project.c.name_key, word))
 
 
 def _project_holds(word: str) -> ColumnElement[bool]:
     return or_(_project_is_named(word), holds_word(project.c.description, word))
 
 
-def _mission_holds(word: str, of: FromClause = mission, within: FromClause = project) -> ColumnElement[bool]:
-    values = func.jsonb_path_query(of.c.metadata, cast("strict $.**", JSONPATH)).table_valued("value").render_derived()
-    as_text = values.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
-    in_values = select(values.c.value).where(holds_word(as_text, word))
-    scalar = func.jsonb_typeof(values.c.value).not_in(["object", "array"])
-    return or_(
-        _mission_is_named(word, of, within),
-        holds_word(of.c.notes, word),
-        in_values.where(scalar).exists(),
-    )
+def _mission_holds(word: str) -> ColumnElement[bool]:
+    return or_(_mission_is_named(word), _mission_says(word))
 
 
-def _its_mission(holds: Callable[[str, FromClause, FromClause], ColumnElement[bool]], word: str) -> ColumnElement[bool]:
-    # Asked of nothing outside: each mission is looked at once, not once for each of its files.
-    of, within = mission.alias("its_mission"), project.alias("its_project")
-    found = select(of.c.id).join(within, within.c.id == of.c.project_id).where(holds(word, of, within))
-    return file.c.mission_id.in_(found)
+def _mission_found(actor: Actor, word: str) -> ColumnElement[bool]:
+    # All of it said of the mission's own columns, so that their indexes can be asked together.
+    named = select(project.c.id).where(key_holds_word(project.c.name_key, word)).correlate(None)
+    in_project = mission.c.project_id == any_(func.array(named.scalar_subquery()))
+    is_named = or_(key_holds_word(mission.c.name_key, word), in_project)
+    return or_(is_named, _mission_says(word)) if sees_whole_missions(actor) else is_named
 
 
-def _file_holds(word: str) -> Conditions:
-    """Return where a file may hold a word, the cheapest to look at first."""
-    labels = holds_word(func.array_to_string(file.c.labels, "\n"), word)
-    return [key_holds_word(file.c.path_key, word), labels, _blob_has_topic(holds_word(topic.c.name, word))]
+def _mission_says(word: str) -> ColumnElement[bool]:
+    values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
+    each = values.table_valued("value").render_derived()
+    as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
+    scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
+    in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
+    if not _ESCAPED_IN_JSON.search(word):
+        # The whole as text has an index, and is quickly looked through; but it holds the names of fields too.
+        in_values = and_(holds_word(cast(mission.c.metadata, Text), word), in_values)
+    return or_(holds_word(mission.c.notes, word), in_values)
+
+
+def _path_or_label_holds(word: str) -> Conditions:
+    return [key_holds_word(file.c.path_key, word), holds_word(func.joined(file.c.labels), word)]
+
+
+def _topic_holds(word: str) -> ColumnElement[bool]:
+    # Of all topics there are few names.
+    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, word)).correlate(None)
+    return topic.c.name == any_(func.array(named.scalar_subquery()))
+
+
+def _files_holding(actor: Actor, word: str) -> CompoundSelect[Any]:
+    """Return the ids of all files that hold a word, each place looked up in an index of its own."""
+    by_mission = select(file.c.id).join(mission, mission.c.id == file.c.mission_id)
+    by_project = by_mission.join(project, project.c.id == mission.c.project_id)
+    in_mission = key_holds_word(mission.c.name_key, word)
+    if sees_whole_missions(actor):
+        in_mission = or_(in_mission, _mission_says(word))
+    found = [select(file.c.id).where(each) for each in _path_or_label_holds(word)]
+    found += [by_mission.where(in_mission), by_project.where(key_holds_word(project.c.name_key, word))]
+    # Asked with IN, the database knows that these are few names.
+    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, word)).correlate(None)
+    found += [select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id).where(topic.c.name.in_(named))]
+    return union_all(*(each.correlate(None) for each in found))

@@ -11,6 +11,7 @@ from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files
+from kleinkram.server.search.looking import drawn_files, rounded
 from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
@@ -30,14 +31,26 @@ def room_to_count() -> Select[Any]:
     return select(func.set_config("work_mem", _MEMORY, True))
 
 
-def topics_found(actor: Actor, matching: FileFilter, *, limit: int) -> Select[Any]:
+def walking(is_on: bool) -> Select[Any]:
+    """Return the statement that has lists walked in their order, or has that end, until the transaction ends.
+
+    Of very many that match, the first are soon met so; of words together the database expects too few for that.
+    """
+    return select(func.set_config("enable_sort", "off" if is_on else "on", True))
+
+
+def topics_found(actor: Actor, matching: FileFilter, *, limit: int, drawn: bool) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
+
+    With `drawn`, of those of the files drawn by lot that match.
 
     Those whose names hold the most words of the filter come first, then those of the most files.
     """
     files = narrow_files(actor, visible_files(actor), matching)
+    if drawn:
+        files = files.where(file.c.id.in_(select(drawn_files().c.id)))
     found = files.with_only_columns(file.c.blob_id, maintain_column_froms=True).cte("found")
-    if matching != FileFilter():
+    if drawn or matching != FileFilter():
         # Looked up once and first: what is found of the files says nothing of how many topics they have.
         found = found.prefix_with("MATERIALIZED")
     # A blob names each topic once, so there is a row for each of its files.
@@ -54,9 +67,15 @@ def topics_found(actor: Actor, matching: FileFilter, *, limit: int) -> Select[An
     return grouped.group_by(name, message_type).order_by(*order).limit(limit)
 
 
-def to_topic_found(row: Row[Any]) -> TopicFound:
-    """Return the topic that a row of `topics_found` stands for."""
-    return TopicFound.model_validate({name: row._mapping[name] for name in TopicFound.model_fields})
+def to_topic_found(row: Row[Any], times: float) -> TopicFound:
+    """Return the topic that a row of `topics_found` stands for; one file drawn stands for so many."""
+    messages = row.message_count
+    return TopicFound(
+        name=row.name,
+        message_type=row.message_type,
+        file_count=row.file_count if times == 1 else rounded(round(row.file_count * times)),
+        message_count=messages if messages is None or times == 1 else rounded(round(float(messages) * times)),
+    )
 
 
 def group_column(by: str) -> ColumnElement[Any] | None:
@@ -124,10 +143,11 @@ def _grouped_files(actor: Actor, matching: FileFilter, *, group: ColumnElement[A
         recording.c.id.label("recording_id"),
         blob.c.size_bytes,
     )
-    messages = func.sum(topic.c.count) if by_topic else func.max(blob.c.message_count)
     label = cast(group, Text).label("group")
-    chosen = stmt.with_only_columns(label, *own, messages.label("messages"), maintain_column_froms=True)
-    return chosen.group_by(label, *own)
+    if not by_topic:  # a row is a file
+        return stmt.with_only_columns(label, *own, blob.c.message_count.label("messages"), maintain_column_froms=True)
+    messages = func.sum(topic.c.count).label("messages")
+    return stmt.with_only_columns(label, *own, messages, maintain_column_froms=True).group_by(label, *own)
 
 
 def to_stats(row: Row[Any] | None) -> StatsRow:

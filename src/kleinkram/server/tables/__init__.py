@@ -4,7 +4,7 @@ from kleinkram.server.tables.access_group import access_grant, access_group, aff
 from kleinkram.server.tables.action import action, action_version
 from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
-from kleinkram.server.tables.blob import blob, topic
+from kleinkram.server.tables.blob import blob, topic, topic_name
 from kleinkram.server.tables.file import file, recording
 from kleinkram.server.tables.job_error import job_error
 from kleinkram.server.tables.mission import mission
@@ -67,5 +67,6 @@ __all__ = [
     "token",
     "token_limit",
     "topic",
+    "topic_name",
     "upload",
 ]

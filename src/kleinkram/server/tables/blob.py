@@ -74,6 +74,8 @@ blob = Table(
     Index("ix_blob_proven_at", "proven_at", postgresql_where=text("state = 'proven' AND doomed_at IS NULL")),
     # The order in which searches show files: the latest first, those without a time last.
     Index("ix_blob_begun", text("coalesce(start_ns, '-9223372036854775808'::bigint)")),
+    # How long the longest lasts bounds where one begins that was under way at some time.
+    Index("ix_blob_duration", text("(end_ns::numeric - start_ns::numeric)")),
     Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),
 )
 
@@ -101,4 +103,12 @@ topic = Table(
     UniqueConstraint("blob_id", "name", "message_type", postgresql_nulls_not_distinct=True),
     Index("ix_topic_name", "name", "blob_id"),
     Index("ix_topic_message_type", "message_type", "blob_id"),
+)
+
+# The names of all topics there were, each once: in which of them a word stands is soon known. A trigger keeps it.
+topic_name = Table(
+    "topic_name",
+    metadata,
+    sorted_text("name", primary_key=True),
+    Index("ix_topic_name_words", "name", postgresql_using="gin", postgresql_ops={"name": "gin_trgm_ops"}),
 )

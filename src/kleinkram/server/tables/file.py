@@ -12,6 +12,7 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     Uuid,
+    func,
     text,
 )
 from sqlalchemy.dialects.postgresql import JSONB
@@ -65,4 +66,13 @@ file = Table(
     Index("ix_file_created_at", "created_at", "id"),
     Index("ix_file_deleted_at", "deleted_at", postgresql_where=text("deleted_at IS NOT NULL")),
     Index("ix_file_labels", "labels", postgresql_using="gin"),
+    # For words of searches.
+    Index("ix_file_words", "path_key", postgresql_using="gin", postgresql_ops={"path_key": "gin_trgm_ops"}),
+)
+
+Index(
+    "ix_file_label_words",
+    func.joined(file.c.labels).label("joined"),
+    postgresql_using="gin",
+    postgresql_ops={"joined": "gin_trgm_ops"},
 )

@@ -1,0 +1,137 @@
+"""The rows about lists, searches and facets: times over HTTP, beside them the very SQL in a bare loop of psycopg."""
+
+import asyncio
+import math
+import os
+import statistics
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import httpx
+import psycopg
+import urllib3
+from sqlalchemy import event
+
+from benchmarks.scale.places import Place
+
+Row = dict[str, object]
+# A statement as it was sent, and its values.
+Statement = tuple[str, Any]
+_TIMES, _WARM = int(os.environ.get("KLEINKRAM_BENCH_TIMES", "20")), 3
+_LEAST_SHARE, _MOST_BESIDE_ADMIN = 0.5, 1.3
+
+
+def list_rows(
+    label: str,
+    url: str,
+    tokens: Mapping[str, str],
+    statements: Mapping[str, list[Statement]],
+    database_url: str,
+    places: list[Place],
+) -> list[Row]:
+    """Ask for every place as `admin`, in turn with the same as `reader`; both by one client, one after the other."""
+    rows: list[Row] = []
+    ratios: dict[str, float] = {}
+    with urllib3.PoolManager(retries=False, timeout=120) as pool:
+        for place in places:
+            times = _ask_in_turn(pool, url, place, tokens)
+            ratios[place.name] = statistics.median(times["reader"]) / statistics.median(times["admin"])
+            bare_ms = statistics.mean(_bare(statements[place.path], database_url))
+            rows.append(_row(label, place, times["admin"], bare_ms))
+    worst = max(ratios, key=lambda name: ratios[name])
+    rows.append(
+        {
+            "what": f"{label}: the same as an ordinary person with many grants, beside an admin",
+            "measured": f"median {statistics.median(ratios.values()):.2f} x, worst {ratios[worst]:.2f} x ({worst})",
+            "bar": f"<= {_MOST_BESIDE_ADMIN} x",
+            "met": ratios[worst] <= _MOST_BESIDE_ADMIN,
+            "ratios": ratios,
+        }
+    )
+    return rows
+
+
+def _row(label: str, place: Place, times: list[float], bare_ms: float) -> Row:
+    p95 = percentile(times, 95)
+    share = bare_ms / statistics.mean(times)
+    limit = "" if place.most_ms is None else f"p95 <= {place.most_ms:.0f} ms, "
+    return {
+        "what": f"{label}: {place.name}",
+        "measured": f"median {statistics.median(times):.0f} ms, p95 {p95:.0f} ms; {share:.2f} of its bare SQL's rps",
+        "bar": f"{limit}>= {_LEAST_SHARE} of the SQL alone",
+        "met": (place.most_ms is None or p95 <= place.most_ms) and share >= _LEAST_SHARE,
+        "path": place.path,
+        "ms": times,
+        "bare_ms": bare_ms,
+    }
+
+
+def percentile(values: list[float], percent: float) -> float:
+    """Return the smallest value that so many percent of all are not above."""
+    return sorted(values)[max(math.ceil(len(values) * percent / 100) - 1, 0)]
+
+
+def _ask_in_turn(
+    pool: urllib3.PoolManager, url: str, place: Place, tokens: Mapping[str, str]
+) -> dict[str, list[float]]:
+    times: dict[str, list[float]] = {who: [] for who in tokens}
+    for number in range(_WARM + _TIMES):
+        for who in sorted(tokens, reverse=number % 2 == 0):
+            began = time.perf_counter()
+            answer = pool.request(
+                "GET", f"{url}/api/v1/{place.path}", headers={"Authorization": f"Bearer {tokens[who]}"}
+            )
+            took = (time.perf_counter() - began) * 1000
+            if answer.status >= 300:
+                raise SystemExit(f"{place.path}: {answer.status} {answer.data.decode()}")
+            if number >= _WARM:
+                times[who].append(took)
+    return times
+
+
+def _bare(statements: list[Statement], database_url: str) -> list[float]:
+    """Return the milliseconds that the statements of one request take by themselves, each time anew."""
+    times = []
+    with psycopg.connect(database_url) as database:
+        for number in range(_WARM + _TIMES):
+            began = time.perf_counter()
+            for statement, values in statements:
+                # The text is one that the server itself sent.
+                database.execute(statement, values).fetchall()
+            database.commit()
+            if number >= _WARM:
+                times.append((time.perf_counter() - began) * 1000)
+    return times
+
+
+def statements_of(environment: Mapping[str, str], token: str, places: list[Place]) -> dict[str, list[Statement]]:
+    """Return, by path, the statements that the server sends for it, taken down in an app of this process."""
+    os.environ.update({key: value for key, value in environment.items() if key.startswith("KLEINKRAM_")})
+    os.environ.pop("KLEINKRAM_OWNER_TOKEN_FILE", None)
+    return asyncio.run(_taken_down(token, places))
+
+
+async def _taken_down(token: str, places: list[Place]) -> dict[str, list[Statement]]:
+    from kleinkram.server.app import create_app
+    from kleinkram.server.settings import Settings
+
+    app = create_app(Settings())
+    sent: list[Statement] = []
+
+    def take_down(_connection: object, _cursor: object, statement: str, values: object, *_: object) -> None:
+        if statement.lstrip().startswith(("SELECT", "WITH", "(")):
+            sent.append((statement, values))
+
+    found = {}
+    async with app.router.lifespan_context(app):
+        event.listen(app.state.database.engine.sync_engine, "before_cursor_execute", take_down)
+        asking = httpx.AsyncClient(
+            transport=httpx.ASGITransport(app), base_url="http://bench", headers={"Authorization": f"Bearer {token}"}
+        )
+        async with asking as client:
+            for place in places:
+                sent.clear()
+                (await client.get(f"/api/v1/{place.path}", timeout=120)).raise_for_status()
+                found[place.path] = list(sent)
+    return found

@@ -1,0 +1,91 @@
+"""Many clients at once: reading and writing, each as fast as it gets answers; a process of its own, told by JSON.
+
+`python -m benchmarks.scale.crowd URL TOKEN CLIENTS SECONDS PROJECT_ID` prints one line: what each client got.
+"""
+
+import json
+import random
+import statistics
+import sys
+import threading
+import time
+import uuid
+from dataclasses import dataclass, field
+
+import urllib3
+
+from benchmarks.scale.asking import percentile
+from benchmarks.scale.places import seeded
+
+# Of ten requests one writes.
+_READS = (
+    "projects?limit=50",
+    "missions?sort=-created&limit=50",
+    "missions?where=robot=husky-03&limit=50",
+    "files?sort=-start&limit=50&topic=/imu/data",
+    "search?query=harbour_001234",
+)
+
+
+@dataclass
+class _Client:
+    ms: list[float] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+
+
+def main(url: str, token: str, clients: int, seconds: float, project_id: str) -> dict[str, object]:
+    """Run the crowd; returns how many were answered, how late, what went wrong, and how evenly they were served."""
+    crowd = [_Client() for _ in range(clients)]
+    until = time.monotonic() + seconds
+    threads = [
+        threading.Thread(target=_run, args=(each, number, url, token, until, project_id))
+        for number, each in enumerate(crowd)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    counts = [len(each.ms) for each in crowd]
+    every = [one for each in crowd for one in each.ms]
+    return {
+        "answers": len(every),
+        "rps": len(every) / seconds,
+        "p50_ms": statistics.median(every),
+        "p99_ms": percentile(every, 99),
+        "worst_ms": max(every),
+        "errors": [error for each in crowd for error in each.errors],
+        # Of the client that got the fewest answers, beside the mean.
+        "fairness": min(counts) / statistics.mean(counts),
+    }
+
+
+def _run(client: _Client, number: int, url: str, token: str, until: float, project_id: str) -> None:
+    lot = random.Random(number)
+    headers = {"Authorization": f"Bearer {token}"}
+    with urllib3.PoolManager(retries=False, timeout=60) as pool:
+        while time.monotonic() < until:
+            method, path, body = _next(lot, project_id)
+            began = time.perf_counter()
+            try:
+                answer = pool.request(method, f"{url}/api/v1/{path}", headers=headers, json=body)
+            except urllib3.exceptions.HTTPError as error:
+                client.errors.append(f"{method} {path}: {error}")
+                continue
+            client.ms.append((time.perf_counter() - began) * 1000)
+            if answer.status >= 300:
+                client.errors.append(f"{method} {path}: {answer.status} {answer.data[:200].decode()}")
+
+
+def _next(lot: random.Random, project_id: str) -> tuple[str, str, dict[str, object] | None]:
+    kind = lot.randrange(10)
+    if kind == 0:
+        return "POST", f"projects/{project_id}/missions", {"name": f"crowd {uuid.uuid4()}", "metadata": {}}
+    if kind == 1:
+        return "PATCH", f"files/{seeded(f'file{lot.randrange(1, 9000)}-1')}", {"labels": [f"seen {lot.randrange(9)}"]}
+    if kind < 5:
+        return "GET", f"files/{seeded(f'file{lot.randrange(1, 9000)}-1')}/topics", None
+    return "GET", lot.choice(_READS), None
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), sys.argv[5])))

@@ -1,0 +1,78 @@
+"""Ten years of a lab, put into PostgreSQL by the serving role: statements over sets, one a step, each committed.
+
+Ids follow from names, so that a step that was done is passed over, and one that was interrupted is done again. The
+bytes are nobody's: they are said to be in another store, which the jobs of this one leave alone.
+
+`python -m benchmarks.scale.seed SERVING_URL 1|10 [OWNER_URL]` fills any migrated database that has an admin.
+"""
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import psycopg
+
+from benchmarks.scale import statements
+
+Say = Callable[[str], None]
+# The whole, one in ten, and a few of all missions is what these people see.
+ALL, TENTH, FEW = "bench-reads-all", "bench-reads-a-tenth", "bench-reads-a-few"
+_SLICES = 64
+_TABLES = "person access_group membership access_grant project mission recording blob file topic mission_topic token"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much there is: 1, or 10 times as much."""
+
+    times: int
+
+    def values(self) -> dict[str, int]:
+        """Return the numbers that the statements take."""
+        sizes = {"people": 500, "groups": 60, "projects": 100, "missions": 10_000}
+        return {name: number * self.times for name, number in sizes.items()}
+
+
+def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print) -> None:
+    """Put everything there. What is there already stays; an interrupted call is gone on with by the same call.
+
+    With `owner_url`, of the role that the tables belong to, they are vacuumed and analysed at the end, as they would
+    be in any database that has stood for some minutes.
+    """
+    began = time.perf_counter()
+    with psycopg.connect(url, autocommit=True) as database:
+        database.execute("SET synchronous_commit = off")
+        database.execute("SET statement_timeout = 0")
+        database.execute("SET work_mem = '256MB'")
+        owner = database.execute("SELECT person_id FROM token WHERE name = 'local owner'").fetchone()
+        secrets = {f"secret_{n}": hashlib.sha256(name.encode()).digest() for n, name in enumerate((ALL, TENTH, FEW))}
+        given = {**size.values(), **secrets, "owner": owner and owner[0]}
+        for name, check, statement, values in _steps():
+            if database.execute(check.encode(), {**given, **values}).fetchone() is not None:
+                continue
+            database.execute(statement.encode(), {**given, **values})
+            say(f"{time.perf_counter() - began:6.0f} s  {name}")
+    if owner_url is not None:
+        with psycopg.connect(owner_url, autocommit=True) as database:
+            for table in _TABLES.split():
+                database.execute(f"VACUUM (ANALYZE) {table}".encode())
+        say(f"{time.perf_counter() - began:6.0f} s  vacuumed and analysed")
+
+
+def _steps() -> Iterator[tuple[str, str, str, dict[str, object]]]:
+    """Yield each step with the question whether it is done, and what it takes besides."""
+    for name, check, statement in statements.WHOLE_BEFORE:
+        yield name, check, statement, {}
+    for number in range(_SLICES):
+        # In the order of ids: then the pages of each index are filled one after the other.
+        low = f"{number * 256 // _SLICES:02x}000000-0000-0000-0000-000000000000"
+        high = f"{(number + 1) * 256 // _SLICES - 1:02x}ffffff-ffff-ffff-ffff-ffffffffffff"
+        yield f"topics {number + 1}/{_SLICES}", statements.TOPICS_DONE, statements.TOPICS, {"low": low, "high": high}
+    for name, check, statement in statements.WHOLE_AFTER:
+        yield name, check, statement, {}
+
+
+if __name__ == "__main__":
+    fill(sys.argv[1], Size(int(sys.argv[2])), owner_url=sys.argv[3] if len(sys.argv) > 3 else None)

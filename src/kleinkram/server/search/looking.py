@@ -1,0 +1,106 @@
+"""How much a search will find, seen from a few files: many are met by walking, few are looked up by their words.
+
+Ids are random, so the first of them are files drawn by lot, and an index reads them at once. What is seen of these
+says where to begin and, where very many are found, about how many; nothing of rights: every statement asks for those.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+from sqlalchemy import CTE, and_, func, select, true
+
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.query.words import phrases
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.db import Connection
+from kleinkram.server.search.matching import file_conditions, word_condition
+from kleinkram.server.tables import blob, file, mission
+
+# Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a quarter.
+DRAWN, MANY = 1000, 20
+# Where each word by itself is in many, no index leads to the files that hold them all: these are then many sooner.
+_MANY_TOGETHER = 4
+_MISSIONS_DRAWN = 100
+_IDS = 2**128
+# A word without three letters or digits on end has no trigram to be looked up by.
+_LOOKED_UP = re.compile(r"[^\W_]{3}")
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What was seen of the files drawn: how many of them each filter finds, of how many there are about in all."""
+
+    hits: Sequence[int]
+    drawn: int
+    files: int
+    many: int = MANY
+
+    def finds_many(self, number: int = 0) -> bool:
+        """Say whether a filter finds so many files that they are not all looked at."""
+        return self.drawn == DRAWN and self.hits[number] >= self.many
+
+    def estimate(self) -> int:
+        """Return about how many files the first filter finds, in two digits."""
+        return rounded(self.hits[0] * self.files // max(self.drawn, 1))
+
+
+@cache  # one and the same within a statement
+def drawn_files() -> CTE:
+    """Return the ids of files drawn by lot, the same each time; all of them where there are not so many."""
+    return select(file.c.id).order_by(file.c.id).limit(DRAWN).cte("drawn").prefix_with("MATERIALIZED")
+
+
+async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tuple[Actor, Outlook | None]:
+    """Return who asks, knowing where to begin with the first filter, and what was seen; None for who sees little.
+
+    The words are those of the first filter, which the others share.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    if actor.few_mission_ids is not None:
+        return actor, None
+    words = phrases(filters[0].text or "")
+    drawn = drawn_files()
+    conditions = [and_(true(), *file_conditions(actor, each)) for each in filters]
+    timed = and_(conditions[0], blob.c.start_ns.is_not(None))
+    conditions += [word_condition(actor, word) for word in words]
+    seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
+    counted = seen.with_only_columns(
+        *(func.count().filter(each).label(f"hits_{number}") for number, each in enumerate(conditions)),
+        func.count().filter(timed).label("timed"),
+        select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
+        select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
+        maintain_column_froms=True,
+    )
+    row = (await db.execute(counted)).one()
+    hits, held = list(row[: len(filters)]), dict(zip(words, row[len(filters) :], strict=False))
+    files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
+    rarest = min(filter(_LOOKED_UP.search, words), key=lambda word: held[word], default=None)
+    is_led = rarest is None or held[rarest] < MANY
+    outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER)
+    # Files without a time come last: where nearly all are such, a walk would meet all others first.
+    if outlook.finds_many() and row.timed < _MANY_TOGETHER:
+        outlook = replace(outlook, many=DRAWN + 1)
+    if outlook.finds_many():
+        return replace(actor, finds_many=True), outlook
+    return (actor if rarest is None else replace(actor, rare_words=frozenset({rarest}))), outlook
+
+
+def drawn_missions() -> CTE:
+    """Return the ids of missions drawn by lot."""
+    return select(mission.c.id).order_by(mission.c.id).limit(_MISSIONS_DRAWN).cte("drawn").prefix_with("MATERIALIZED")
+
+
+def estimate_missions(hits: int, drawn: int, last_id: int) -> int:
+    """Return about how many missions are found where so many of those drawn are; exactly where all were drawn."""
+    return hits if drawn < _MISSIONS_DRAWN else rounded(hits * _IDS // max(last_id, 1))
+
+
+def rounded(number: int) -> int:
+    """Return a number in its first two digits: more is not known of it."""
+    digits = max(len(str(number)) - 2, 0)
+    return round(number, -digits)

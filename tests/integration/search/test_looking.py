@@ -1,0 +1,73 @@
+"""Of very many files a search looks at some, drawn by lot, and says so; no list asks more often for more rows."""
+
+import uuid
+from collections.abc import Iterator
+
+import pytest
+
+from kleinkram.server.search import looking
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+_FILES, _RARE = 120, 2
+_LISTS = ("/projects", "/missions", "/files", "/files?sort=-start", "/search?query=drive", "/topics", "/search/facets")
+
+
+@pytest.fixture(name="full", scope="module")
+def _full(start_api: StartApi) -> Api:
+    """An API with one mission of many files."""
+    api, tail = start_api(), uuid.uuid4().hex
+    mission = api.mission(api.project(name=f"many {tail}")["id"], name=f"forest {tail}")["id"]
+    sample = Sample(api)
+    for number in range(_FILES):
+        name = "rarely" if number < _RARE else "drive"
+        sample.file(mission, f"{name}_{number}.mcap", start_ns=number + 1, end_ns=number + 2, topics=[{"name": "/imu"}])
+    return api
+
+
+@pytest.fixture(name="drawn")
+def _drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """So few files are drawn that these are very many."""
+    monkeypatch.setattr(looking, "DRAWN", 60)
+    looking.drawn_files.cache_clear()
+    yield looking.DRAWN
+    looking.drawn_files.cache_clear()
+
+
+def test_of_few_files_all_are_counted(full: Api) -> None:
+    found = full.get("/search", {"query": "drive"}).ok()
+    assert (found["is_whole"], found["files"]["total"], found["missions"]["total"]) == (True, _FILES - _RARE, 1)
+    assert found["topics"]["items"][0]["file_count"] == _FILES - _RARE
+
+
+def test_of_very_many_files_an_estimate_says_that_it_is_one(full: Api, drawn: int) -> None:
+    found = full.get("/search", {"query": "drive", "limit": "5"}).ok()
+    assert not found["is_whole"]
+    # Ids are random: of 120 files, the 60th id lies near the middle, and seldom beyond these.
+    assert _FILES / 2 < found["files"]["total"] < _FILES * 2
+    assert [each["start_ns"] for each in found["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
+    assert [each["name"] for each in found["topics"]["items"]] == ["/imu"]
+    facets = full.get("/search/facets", {"query": "drive"}).ok()
+    assert not facets["is_whole"]
+    assert 0 < facets["file_count"] <= drawn
+
+
+def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, drawn: int) -> None:
+    found = full.get("/search", {"query": "rarely"}).ok()
+    assert (found["is_whole"], found["files"]["total"]) == (True, _RARE)
+    assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
+    facets = full.get("/search/facets", {"query": "rarely"}).ok()
+    assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
+
+
+@pytest.mark.parametrize("path", _LISTS)
+def test_a_list_asks_as_often_for_many_rows_as_for_one(full: Api, path: str) -> None:
+    full.get(path).ok()  # so that an admin's look is noted already
+    counts = []
+    for limit in ("1", "100"):
+        asked = {} if path == "/search/facets" else {"limit": limit}
+        with full.statements() as statements:
+            full.get(path, asked).ok()
+        counts.append(len(statements))
+    assert counts[0] == counts[1] <= 9
