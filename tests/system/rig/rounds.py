@@ -3,6 +3,7 @@
 A round is seeded: what is killed, when, and the bytes. What must hold is for tests to say.
 """
 
+import contextlib
 import hashlib
 import os
 import random
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.contract.errors import StoreUnavailable
 from tests.acceptance.conftest import wait_until
 from tests.system import behind
 from tests.system.house import House
@@ -75,7 +77,7 @@ def fill(one: Round, chance: random.Random) -> None:
 
 def upload_under_fire(house: House, one: Round, chance: random.Random, *, rate_mb_s: int) -> None:
     """Upload once, killing at random moments meanwhile, then again until it is done; note what was sent again."""
-    before = behind.held_bytes(house)
+    before = _held_bytes(house)
     command = [*_upload(one), "--limit-rate", f"{rate_mb_s}MB"]
     upload = house.terminal.start(*command)
     wait_until(lambda: bool(house.terminal.journals()) or upload.poll() is not None, "the upload to begin")
@@ -93,10 +95,23 @@ def upload_under_fire(house: House, one: Round, chance: random.Random, *, rate_m
     out, err = upload.communicate(timeout=100)
     say(f"  {time.monotonic() - started:5.2f} s: the client ended with {upload.returncode}")
     assert "Traceback" not in out + err
-    held = behind.held_bytes(house) - before
+    held = _held_bytes(house) - before
     moved = _upload_until_done(house, one)
     one.sent_again_bytes = max(0, held + moved - one.size_bytes)
     say(f"  {time.monotonic() - started:5.2f} s: done; held {held}, then sent {moved}: again {one.sent_again_bytes}")
+
+
+def _held_bytes(house: House) -> int:
+    """Ask the store what it holds, which may be on its way back."""
+    weighed: list[int] = []
+
+    def is_weighed() -> bool:
+        with contextlib.suppress(StoreUnavailable):
+            weighed.append(behind.held_bytes(house))
+        return bool(weighed)
+
+    wait_until(is_weighed, "the store to be back")
+    return weighed[0]
 
 
 def _upload_until_done(house: House, one: Round) -> int:
