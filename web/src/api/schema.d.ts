@@ -5588,6 +5588,8 @@ export interface components {
          * ScrubState
          * @description The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
          *
+         *     Of the lost and corrupt those count that something still refers to.
+         *
          *     `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
          */
         ScrubState: {

@@ -15,6 +15,7 @@ export const texts = {
   emptyBox: "Empty the box",
 
   tabs: { label: "What was found", files: "Files", missions: "Missions", topics: "Topics" },
+  estimated: "Very much was found: these numbers are estimates, and the topics are those of files drawn by lot. A word more finds less.",
   files: "Files that were found",
   missions: "Missions that were found",
   topics: "Topics that were found",
@@ -30,7 +31,7 @@ export const texts = {
   allValues: (count: number) => `All ${formatCount(count)}`,
   fewerValues: "Fewer",
   andMore: (count: number) => `and ${formatCount(count)} more`,
-  sampled: (files: number) => `Counted among the first ${counted(files, "file")}.`,
+  sampled: (files: number) => `Counted among ${counted(files, "file")} of those found.`,
   noFacets: "Nothing here divides what was found.",
 
   nothing: "Nothing matches",
