@@ -1,0 +1,47 @@
+"""An hour of many people on ten years of data: API and worker take no more memory at its end than before."""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from benchmarks.scale import seed
+from benchmarks.scale.places import seeded
+
+from tests.system.house import House
+
+_SECONDS = float(os.environ.get("KLEINKRAM_SOAK_S", "3600"))
+_CLIENTS, _LOOKS = 10, 60
+# Of the last third, beside the second: the first is when caches fill.
+_MOST_GROWTH, _SLACK_MB = 1.1, 10
+
+
+@pytest.mark.soak
+def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
+    house = House(tmp_path, settings={"KLEINKRAM_SEARCHES_PER_MINUTE": "0"})
+    house.start()
+    try:
+        parts = {name: psutil.Process(house.told()["parts"][name]) for name in ("api", "worker")}
+        seed.fill(parts["worker"].environ()["KLEINKRAM_DATABASE_URL"], seed.Size(1), say=lambda _text: None)
+        token = (house.data_dir / "owner-token").read_text().strip()
+        asked = [house.told()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]
+        crowd = subprocess.Popen([sys.executable, "-m", "benchmarks.scale.crowd", *asked], stdout=subprocess.PIPE)
+        taken: dict[str, list[float]] = {name: [] for name in parts}
+        while crowd.poll() is None:
+            for name, part in parts.items():
+                taken[name].append(part.memory_full_info().pss / 1e6)
+            time.sleep(_SECONDS / _LOOKS)
+        told = json.loads(crowd.stdout.read()) if crowd.stdout else {}
+        assert told["answers"] > 0
+        assert told["errors"] == []
+    finally:
+        house.end()
+    for name, mb in taken.items():
+        third = len(mb) // 3
+        middle, last = statistics.median(mb[third : 2 * third]), statistics.median(mb[2 * third :])
+        assert last <= middle * _MOST_GROWTH + _SLACK_MB, f"{name} grew from {middle:.0f} to {last:.0f} MB: {mb}"
