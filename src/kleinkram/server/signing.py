@@ -44,6 +44,8 @@ class StoreClock:
         self._ahead = told - datetime.datetime.now(datetime.timezone.utc)
         if abs(self._ahead) <= _TOLERATED:
             self._ahead = datetime.timedelta(0)
+            _log.info("the clocks of this server and of the store agree again")
+            return True
         _log.warning(
             "the clocks of this server and of the store are apart: addresses are signed by the store's; set both (NTP)",
             extra={"fields": {"store_ahead_s": round(self._ahead.total_seconds())}},
