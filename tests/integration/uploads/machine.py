@@ -97,28 +97,45 @@ class Machine(RuleBasedStateMachine):
         self.done_to: dict[str, str] = {}
         self.trashed: dict[str, str] = {}
         self.seen: dict[tuple[str, str], str] = {}
-        self.edges = {"upload": _reached(documented("An upload")), "blob": _reached(documented("A blob"))}
+        # To complete is to go two ways at once; a blob goes one at a time.
+        self.edges = {"upload": _reached(documented("An upload")), "blob": documented("A blob")}
 
     # What people do.
 
     @rule(target=uploads, path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES), hashed=st.booleans())
-    def begin(self, path: str, body: bytes, hashed: bool) -> tuple[dict[str, Any], bytes]:
+    def announce(self, path: str, body: bytes, hashed: bool) -> tuple[dict[str, Any], bytes]:
         """Announce a file; it is sent, linked, there already, or refused since the name is held or taken."""
+        return self._begin(path, body, hashed=hashed)
+
+    def _begin(self, path: str, body: bytes, *, hashed: bool) -> tuple[dict[str, Any], bytes]:
         decision = begin(self.api, self.mission_id, {path: body}, hashed=hashed)[0]
         if decision["decision"] == "refused":
             assert decision["problem"]["code"] in {"name_leased", "file_exists"}
             assert self._holds(path), "refused, although nobody holds the name"
         return decision.get("upload") or {}, body
 
+    @rule(path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES))
+    def bring(self, path: str, body: bytes) -> None:
+        """Upload a file from beginning to end, where nobody holds the name; a damaged one is mended by that."""
+        upload = self._begin(path, body, hashed=True)
+        self._send(upload)
+        self._complete(upload)
+
     @rule(upload=uploads)
     def send(self, upload: tuple[dict[str, Any], bytes]) -> None:
         """Send all of a file, if its upload is open."""
+        self._send(upload)
+
+    def _send(self, upload: tuple[dict[str, Any], bytes]) -> None:
         if upload[0] and self._state(upload[0]) == "open" and self._key(upload[0]) not in self._keys():
             send(self.api, *upload)
 
     @rule(upload=uploads)
     def complete(self, upload: tuple[dict[str, Any], bytes]) -> None:
         """Complete an upload; what is said to be completed is a file with these bytes."""
+        self._complete(upload)
+
+    def _complete(self, upload: tuple[dict[str, Any], bytes]) -> None:
         if not upload[0]:
             return
         was, is_there = self._state(upload[0]), self._key(upload[0]) in self._keys()

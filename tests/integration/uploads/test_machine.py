@@ -36,8 +36,9 @@ def _live(machine: type[Machine], *, examples: int, steps: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_histories_of_uploads_and_blobs(machine: type[Machine]) -> None:
-    _live(machine, examples=6, steps=20)
+    _live(machine, examples=4, steps=20)
 
 
 @pytest.mark.soak
