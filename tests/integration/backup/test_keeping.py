@@ -102,6 +102,7 @@ def test_what_is_sealed_tells_nothing_and_comes_back(lived_in: Api, sites: Sites
     assert len(look(tmp_path, passphrase="horse staple").damage) == 2 + 1  # each backup, and the bytes themselves
 
 
+@pytest.mark.slow
 def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: Path) -> None:
     api = start_api(trash_days=0, sweep_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]

@@ -74,6 +74,7 @@ def test_only_what_is_new_is_copied_and_what_was_cut_off_is_copied_again(lived_i
     assert look(tmp_path).damage == []
 
 
+@pytest.mark.slow
 def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
     start_api: StartApi, sites: Sites, tmp_path: Path
 ) -> None:
