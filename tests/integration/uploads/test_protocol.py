@@ -203,6 +203,15 @@ def test_who_says_the_same_twice_gets_what_the_first_began(api: Api, mission_id:
     assert begin(api, mission_id, {"run.bin": one})[0]["problem"]["code"] == "name_leased"
 
 
+def test_what_the_store_opened_and_nobody_wrote_down_is_taken_up(api: Api, mission_id: str) -> None:
+    body, wished = os.urandom(2 * _PART), str(uuid.uuid4())
+    begin(api, mission_id, {"run.bin": body}, hashed=False, upload_id=wished)
+    (opened,) = api.sql("SELECT multipart_id FROM upload WHERE id = %s", wished)
+    api.sql("UPDATE upload SET multipart_id = NULL WHERE id = %s", wished)  # the process died before it could
+    begin(api, mission_id, {"run.bin": body}, hashed=False, upload_id=wished)
+    assert api.sql("SELECT multipart_id FROM upload WHERE id = %s", wished) == [opened]
+
+
 def test_another_client_is_told_who_holds_the_name_and_until_when(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     decision = begin(api, mission_id, {"run.bin": one})[0]

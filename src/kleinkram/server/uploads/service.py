@@ -82,7 +82,8 @@ async def begin_uploads(
         rows = await queries.locked_uploads(db, actor, held)
     try:
         multipart = [row for row in rows.values() if is_multipart(row)]
-        parts = await open_at_store(site, multipart) if multipart else {}
+        resumed = {decision.ref for decision in decisions if decision.way is Way.resume and decision.ref}
+        parts = await open_at_store(site, multipart, resumed=resumed) if multipart else {}
     except StoreUnavailable:
         await let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
@@ -244,8 +245,13 @@ async def _link_twins(
     return [replace(d, ref=made[d.wanted.path]) if d.way is Way.link else d for d in decisions]
 
 
-async def open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
-    """Open the multipart uploads that are not open yet, and return the parts that the store holds of each."""
+async def open_at_store(
+    site: Site, rows: Sequence[Row[Any]], *, resumed: Collection[uuid.UUID] = ()
+) -> dict[uuid.UUID, list[HeldPart]]:
+    """Open the multipart uploads that are not open yet, and return the parts that the store holds of each.
+
+    Of those `resumed`, one may be open whose id was never written down: the process died between.
+    """
     gate = asyncio.Semaphore(_AT_ONCE)
 
     async def open_one(row: Row[Any]) -> tuple[uuid.UUID, str, list[HeldPart]]:
@@ -254,6 +260,9 @@ async def open_at_store(site: Site, rows: Sequence[Row[Any]]) -> dict[uuid.UUID,
                 held = await site.storage.held_parts(row.key, row.multipart_id)
                 if held is not None:
                     return row.id, row.multipart_id, held
+            elif row.id in resumed:
+                for _, multipart_id in await site.storage.open_multiparts(row.key):
+                    return row.id, multipart_id, await site.storage.held_parts(row.key, multipart_id) or []
             return row.id, await site.storage.begin_multipart(row.key), []
 
     answers = await asyncio.gather(*(open_one(row) for row in rows), return_exceptions=True)
