@@ -15,7 +15,7 @@ from tests.integration.uploading import upload
 
 FIELDS = "undeclared: accept\nfields:\n  - {name: robot, type: string}\n"
 # Of each noun: what the first writes, and the second, who looked at the same.
-_EDITS = {
+_EDITS: dict[str, list[tuple[Any, Any]]] = {
     "missions": [
         ({"metadata": {"robot": "spot"}}, {"metadata": {"operator": "ada"}}),
         ({"metadata_yaml": "robot: spot\n"}, {"metadata_yaml": "robot: anymal\n"}),

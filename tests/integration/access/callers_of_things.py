@@ -170,6 +170,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     ),
     "get_admin_storage": (Caller(get("/admin/storage"), About.server),),
     "get_admin_jobs": (Caller(get("/admin/jobs"), About.server),),
+    "get_admin_scrub": (Caller(get("/admin/scrub"), About.server),),
     "get_admin_health": (Caller(get("/admin/health"), About.server),),
     "get_admin_settings": (Caller(get("/admin/settings"), About.server),),
     "begin_scrub": (Caller(post("/admin/scrub", lambda _: {}), About.server),),
