@@ -42,11 +42,11 @@ story: setup
 
 # A test that hangs where nothing can interrupt it ends its process, and says where it hung.
 test: setup
-	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile -o faulthandler_timeout=240
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile --timeout=240 -o faulthandler_timeout=300
 
 test-all: setup
 	@$(BIN)/python -m tests.lacking
-	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 2 --dist loadfile -o faulthandler_timeout=1000
+	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 3 --dist loadfile --timeout=300 -o faulthandler_timeout=1000
 
 soak: setup
 	@$(BIN)/python -m tests.lacking

@@ -24,7 +24,7 @@ _MIB = 1024 * 1024
 _MEANWHILE = datetime.timedelta(minutes=5)
 
 
-@pytest.mark.parametrize("hours", [1, -1])
+@pytest.mark.parametrize("hours", [1, pytest.param(-1, marks=pytest.mark.soak)])
 def test_all_goes_well_and_ends_by_the_server_s_clock(house: House, tmp_path: Path, hours: int) -> None:
     """The server is an hour off from its store and its database, and the client an hour to the other side."""
     house.settings |= wrong_at_server(tmp_path / "server", hours)

@@ -40,7 +40,7 @@ for step in range(20):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_ten_rounds(house: House) -> None:
     first = _first_seed()
     sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_A_HOUSE) if seed % _ROUNDS_A_HOUSE == 1}

@@ -19,7 +19,7 @@ _MEMBERS, _PLACED, _UNPLACED = 8, 14, 5
 # The places that somebody else is in, in the short round.
 _PLACES_EACH = 4
 # In the long round everybody asks, the plain member in all places, others in so many of theirs; in the longest, in all.
-_LONG_PLACES_EACH = 6
+_LONG_PLACES_EACH = 4
 
 
 @pytest.fixture(scope="module")

@@ -322,7 +322,7 @@ _CHECKS = [HealthCheck.function_scoped_fixture]
 
 
 @pytest.mark.timeout(400)
-@settings(max_examples=8, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
+@settings(max_examples=5, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
 def test_rights_are_the_highest_grant_that_is_not_over_and_projects_keep_an_owner(api: Api, seed: int) -> None:
     live_through(api, seed, steps=_STEPS)

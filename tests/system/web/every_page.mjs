@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 
 const [web, executablePath, link, address, pictures, told] = process.argv.slice(2);
-const { invitation, unused, share, ids, texts, store } = JSON.parse(told);
+const { invitation, unused, share, ids, texts, store, every } = JSON.parse(told);
 const require = createRequire(`${web}/package.json`);
 const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
@@ -14,8 +14,9 @@ const MOST_TRIES = 4;
 const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
 const WIDE = { width: 1440, height: 900 };
 const NARROW = { width: 360, height: 740 };
-// In an order that changes one thing at a time.
-const LOOKS = [["desktop", "light", WIDE], ["phone", "light", NARROW], ["phone-dark", "dark", NARROW], ["desktop-dark", "dark", WIDE]];
+// Colours follow from the theme and layout from the width: two looks see both of each. Soak sees all four.
+const TWO = [["desktop", "light", WIDE], ["phone-dark", "dark", NARROW]];
+const LOOKS = every ? [...TWO, ["phone", "light", NARROW], ["desktop-dark", "dark", WIDE]] : TWO;
 
 // What a browser complains of where it was meant to be so: an answer that refuses, a window that it would not close.
 const NOTHING = /^$/;

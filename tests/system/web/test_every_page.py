@@ -34,8 +34,17 @@ _TEXTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(540)
+@pytest.mark.timeout(900)
 def test_every_page(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    _look(house, act, pictures, tmp_path, every=False)
+
+
+@pytest.mark.soak
+def test_every_page_in_every_way(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+    _look(house, act, pictures, tmp_path, every=True)
+
+
+def _look(house: House, act: Act, pictures: Path, tmp_path: Path, *, every: bool) -> None:
     house.start()
     world = hostile.make_world(house.terminal, tmp_path)
     store = urlsplit(house.told()["store_url"])
@@ -46,8 +55,9 @@ def test_every_page(house: House, act: Act, pictures: Path, tmp_path: Path) -> N
         "ids": world.ids,
         "texts": _TEXTS,
         "store": f"{store.scheme}://{store.netloc}",
+        "every": every,
     }
-    seen = act("every_page.mjs", house, pictures, json.dumps(told), timeout_s=500)
+    seen = act("every_page.mjs", house, pictures, json.dumps(told), timeout_s=840)
 
     assert seen["ran"] == [], "nothing that people named was run"
     assert seen["elsewhere"] == [], "nothing was asked of another host"
