@@ -251,10 +251,10 @@ class Supervisor:
     def _look_after(self, running: RunningPart) -> None:
         name = running.part.name
         if running.start_again_at is None and (ending := running.ending()):
-            pause = running.schedule()
+            wait_s = running.schedule()
             why = last_complaint(running.part.log, since=running.log_from) if name == "postgres" else ""
             said = f"; it said: {why}" if why else ""
-            _say(f"{name} has ended ({ending}){said}; starting it again in {pause:.1f} s; log: {running.part.log}")
+            _say(f"{name} has ended ({ending}){said}; starting it again in {wait_s:.1f} s; log: {running.part.log}")
             self._tell()
             return
         try:

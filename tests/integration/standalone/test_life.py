@@ -262,9 +262,9 @@ import signal
 from kleinkram.standalone import supervisor
 signal.pthread_sigmask(signal.SIG_BLOCK, supervisor._WATCHED)
 print("waiting", flush=True)
-supervisor._pause(0.3)
+supervisor.pause(0.3)
 print("went on", flush=True)
-supervisor._pause(60)
+supervisor.pause(60)
 """
 
 
