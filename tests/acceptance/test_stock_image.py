@@ -22,8 +22,11 @@ _BASE = "kleinkram.test/debian-python"
 # One of each of what the image promises, and all of it together makes a picture and a table.
 _SCRIPT = """\
 # /// script
+# dependencies = ["open-kleinkram", "matplotlib", "mcap", "numpy", "pandas", "pyarrow", "rosbags", "scipy"]
+#
 # [tool.kleinkram]
-# inputs = {files = ["**/*.bag", "**/*.mcap", "*.bag", "*.mcap"]}
+# image = "kleinkram/action-python"
+# inputs = {paths = ["*.mcap"]}
 # ///
 import matplotlib.pyplot as plot
 import numpy, pandas, rosbags.highlevel, scipy.signal
