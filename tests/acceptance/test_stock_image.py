@@ -78,9 +78,11 @@ def test_a_script_finds_all_that_the_image_promises(beside: Terminal, project: s
     beside.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
     (tmp_path / "all.py").write_text(_SCRIPT)
     place = ("-p", project, "-m", "drive")
-    ran = beside.run("action", "run-local", tmp_path / "all.py", *place, "--out", tmp_path / "out")
+    ran = beside.run("action", "run-local", tmp_path / "all.py", *place, "--json", "--out", tmp_path / "out")
     assert "in a container" in ran.err
-    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"counts.parquet", "counts.png", "report.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"counts.parquet", "counts.png"}
+    (metric,) = ran.json()["report"]["metrics"]
+    assert (metric["name"], metric["value"] > 5) == ("topics", True)
 
 
 def test_the_shipped_action_runs_on_it(beside: Terminal, project: str, recordings_dir: Path, tmp_path: Path) -> None:
