@@ -77,6 +77,15 @@ def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     return stmt if actor.few_mission_ids is None else stmt.where(among(file.c.mission_id, actor.few_mission_ids))
 
 
+def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return what `visible_files` would of missions that this very request has found among the visible ones.
+
+    Their grants are not looked up again.
+    """
+    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
+    return _joined_files().where(*live, shown_files(actor), among(file.c.mission_id, mission_ids))
+
+
 def reached_projects(actor: Actor) -> Select[Any]:
     """Return the projects that `actor` may know of, in the trash too: to say that one changed, and nothing of it."""
     return select(project).where(_reaches_project(actor, Right.read))

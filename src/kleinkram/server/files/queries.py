@@ -31,7 +31,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files, visible_missions
+from kleinkram.server.access.visible import files_of_seen, visible_files, visible_missions
 from kleinkram.server.db import among
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Order
@@ -158,6 +158,11 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the visible files that match, to be counted or read."""
     return narrow_files(actor, visible_files(actor), matching)
+
+
+def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching: FileFilter) -> Select[Any]:
+    """Return those of them that lie in some missions, which were found among the visible ones by this very request."""
+    return narrow_files(actor, files_of_seen(actor, mission_ids), matching)
 
 
 def file_order(actor: Actor, sort: FileSort) -> Order:

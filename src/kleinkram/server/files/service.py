@@ -27,7 +27,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection
 from kleinkram.server.editions import require_edition
 from kleinkram.server.files import queries
 from kleinkram.server.missions import service as missions
@@ -37,7 +37,6 @@ from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
-from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
@@ -101,7 +100,7 @@ async def _first_missions(
     after = place_of(page.cursor, order)[:2] if page.cursor else []
     ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)
     mission_ids = (await db.execute(ahead)).scalars().all()
-    found = queries.matching_files(actor, matching).where(among(file.c.mission_id, mission_ids))
+    found = queries.matching_files_of(actor, mission_ids, matching)
     rows = await fetch_page(db, queries.file_rows(found), order, page)
     return rows if rows.next is not None or len(mission_ids) < _MISSIONS_AHEAD else None
 
