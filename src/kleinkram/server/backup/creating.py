@@ -74,6 +74,7 @@ async def _begin(shelf: Shelf, making: Making) -> None:
     with contextlib.suppress(InTheWay):
         async with at_work(shelf, alone=True, begins=True):
             await make_repository(shelf, making.passphrase, sealed=making.sealed)
+            await shelf.tidy()
 
 
 async def _create(settings: Settings, making: Making, repository: Repository, wanted: WantedList) -> Made:

@@ -30,6 +30,7 @@ async def forget(place: str, passphrase: str | None, *, keep: int) -> Forgotten:
         raise CannotBeMeant("--keep must be at least 1: remove the folder itself where no backup is wanted.")
     async with open_place(place) as shelf, at_work(shelf, alone=True):
         repository = await open_repository(shelf, passphrase)
+        await shelf.tidy()
         ids = await repository.snapshot_ids()
         old, kept = ids[:-keep], ids[-keep:]
         names = await repository.held()

@@ -32,13 +32,9 @@ async def at_work(shelf: Shelf, *, alone: bool, begins: bool = False) -> AsyncGe
     """
     if isinstance(shelf, FolderShelf):
         with _held(Path(shelf.name), alone=alone, begins=begins):
-            if alone:
-                await shelf.tidy()
             yield
         return
     async with _noted(shelf, alone=alone):
-        if alone:
-            await shelf.tidy()
         yield
 
 

@@ -11,6 +11,7 @@ Whatever is read is compared with its SHA-256; nothing is ever rewritten.
 import asyncio
 import hashlib
 import json
+import re
 import secrets
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing, asynccontextmanager
@@ -31,6 +32,8 @@ _ABOUT = "klein-backup.json"
 _DATA = "data/"
 _SNAPSHOTS = "snapshots/"
 _LEVEL = 3
+# What may lie where somebody who began there was killed. All else is somebody else's.
+_LEFT_BEHIND = re.compile(r"lock|locks/[a-z]+-[0-9a-f]{16}|unfinished/[0-9a-f]{32}")
 
 
 class Repository:
@@ -225,7 +228,7 @@ async def make_repository(shelf: Shelf, passphrase: str | None, *, sealed: bool)
             )
         return await open_repository(shelf, passphrase)
     async for item in shelf.listed(""):
-        if not item.path.startswith(("lock", "unfinished/")):
+        if not _LEFT_BEHIND.fullmatch(item.path):
             raise InTheWay(f"{shelf.name} is not empty and holds no backups (there is {item.path}): name an empty one.")
     if sealed and not passphrase:
         raise CannotBeMeant("--encrypt needs a passphrase: give --passphrase-file, or KLEINKRAM_BACKUP_PASSPHRASE.")

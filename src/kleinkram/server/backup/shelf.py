@@ -60,7 +60,7 @@ class Shelf(Protocol):
         """Return when all that was written outlives a power cut."""
 
     async def tidy(self) -> None:
-        """Remove what interrupted writes left; nobody may be writing."""
+        """Remove what interrupted writes left, in a place that is known to be for backups; nobody may be writing."""
 
 
 class FolderShelf:
