@@ -1,0 +1,154 @@
+"""Linking that meets the sweep: a file has bytes, or its client is told to send them. No row whose bytes are gone."""
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import psycopg
+import pytest
+from sqlalchemy import ColumnElement, func, or_, text
+
+from kleinkram.server.blobs import queries, service
+from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.db import Connection
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.races import racing
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, fetch, send, upload, wait_until
+
+# A name is taken by a change that is not made in the end: who wants it waits with all locks taken, and then has it.
+_HOLD_NAME = (
+    "INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)"
+    " SELECT gen_random_uuid(), %s, blob_id, 'run.bin', 'run.bin', 'upload', uploaded_by_id FROM file WHERE id = %s"
+)
+_HOLD_BLOB = "SELECT 1 FROM blob WHERE id = %s FOR UPDATE"
+# Whether somebody waits for this very transaction.
+_IS_AWAITED = text(
+    "SELECT EXISTS (SELECT FROM pg_locks WHERE NOT granted AND pg_backend_pid() = ANY (pg_blocking_pids(pid)))"
+    " FROM pg_sleep(0.01)"
+)
+_GATE = 7
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: StartApi) -> Api:
+    """An API of its own, whose sweep lets go at once."""
+    return start_api(trash_days=0, sweep_grace_s=0)
+
+
+@pytest.fixture(name="mission_id")
+def _mission_id(api: Api) -> str:
+    return str(api.mission(api.project()["id"])["id"])
+
+
+class _Twin:
+    """A file elsewhere, the only one that refers to its bytes."""
+
+    def __init__(self, api: Api) -> None:
+        self.api, self.body = api, os.urandom(1000)
+        self.file = upload(api, api.mission(api.project()["id"])["id"], "twin.bin", self.body)
+        [[self.blob_id, self.key]] = api.sql(
+            "SELECT b.id, b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", self.file["id"]
+        )
+
+    def leave(self) -> None:
+        """Delete the file, and let it be swept from the trash: the next sweep dooms what it referred to."""
+        self.api.delete(f"/files/{self.file['id']}").ok()
+        self.api.sql("DELETE FROM file WHERE id = %s", self.file["id"])
+
+
+def _sweep(api: Api) -> None:
+    on_site(api, sweep_once)
+
+
+def _objects(api: Api) -> set[str]:
+    return set(on_site(api, lambda site: site.storage.sizes("")))
+
+
+def _see_that_it_has_bytes(api: Api, mission_id: str, path: str, body: bytes) -> None:
+    """Two sweeps later, too: the first would doom what the second takes."""
+    _sweep(api)
+    _sweep(api)
+    used = "SELECT b.key FROM file f JOIN blob b ON b.id = f.blob_id"
+    assert {row[0] for row in api.sql(used)} <= _objects(api)
+    assert api.sql(f"{used} WHERE b.doomed_at IS NOT NULL") == []
+    [file] = [each for each in api.all("/files", {"mission_id": mission_id}) if each["path"] == path]
+    [link] = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"]
+    assert fetch(link["url"]) == (200, body)
+
+
+def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str) -> None:
+    twin, other = _Twin(api), _Twin(api)
+    with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
+        linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
+        twin.leave()
+        _sweep(api)
+        _sweep(api)
+        assert twin.key in _objects(api)
+    assert linked.result(30)[0]["decision"] == "linked"
+    _see_that_it_has_bytes(api, mission_id, "run.bin", twin.body)
+
+
+def test_what_was_linked_while_the_sweep_looked_is_not_swept(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twin, other = _Twin(api), _Twin(api)
+    referred = queries.is_referred
+
+    def looks_until_the_gate_opens() -> ColumnElement[bool]:
+        # Comes to the gate with what it saw of the files, at each blob that none of them referred to.
+        return or_(referred(), func.pg_advisory_xact_lock_shared(_GATE).is_(None))
+
+    info = api.database.info
+    monkeypatch.setattr(queries, "is_referred", looks_until_the_gate_opens)
+    with psycopg.connect(info.dsn, password=info.password) as gate, ThreadPoolExecutor() as pool:
+        gate.execute("SELECT pg_advisory_xact_lock(%s)", [_GATE])
+        with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
+            linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
+            twin.leave()
+            swept = pool.submit(_sweep, api)
+            at_gate = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND objid = %s AND NOT granted"
+            wait_until(lambda: swept.done() or api.sql(at_gate, _GATE) == [(1,)])
+            assert not swept.done()
+        assert linked.result(30)[0]["decision"] == "linked"
+        gate.rollback()
+        swept.result(30)
+    monkeypatch.undo()
+    _see_that_it_has_bytes(api, mission_id, "run.bin", twin.body)
+
+
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
+) -> None:
+    # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.
+    first, second = sorted((_Twin(api), _Twin(api)), key=lambda twin: twin.blob_id.bytes)
+    doomed = threading.Event()
+    doom = service.doom_unreferenced
+
+    async def doom_slowly(db: Connection, *, limit: int) -> int:
+        count = await doom(db, limit=limit)
+        doomed.set()
+        while not is_gone and not (await db.execute(_IS_AWAITED)).scalar_one():
+            pass
+        return count
+
+    monkeypatch.setattr(service, "doom_unreferenced", doom_slowly)
+    with ThreadPoolExecutor() as pool, racing(api, _HOLD_BLOB, first.blob_id) as send_one:
+        began = send_one(begin, api, mission_id, {"first.bin": first.body, "run.bin": second.body})
+        second.leave()
+        swept = pool.submit(_sweep, api)
+        assert doomed.wait(30)
+        if is_gone:
+            swept.result(30)
+            _sweep(api)
+            assert second.key not in _objects(api)
+    swept.result(30)
+    monkeypatch.undo()
+    linked, told = began.result(30)
+    assert (linked["decision"], told["decision"]) == ("linked", "send")
+    send(api, told["upload"], second.body)
+    assert complete(api, told["upload"], second.body)["outcome"] == "completed"
+    for path, body in (("first.bin", first.body), ("run.bin", second.body)):
+        _see_that_it_has_bytes(api, mission_id, path, body)
