@@ -2,11 +2,14 @@
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import psycopg
 import pytest
 
+from kleinkram.server.backup import creating
 from kleinkram.server.backup import hold as hold_module
+from kleinkram.server.backup.copying import side_by_side
 from kleinkram.server.backup.failing import (
     CannotBeMeant,
     Damaged,
@@ -183,12 +186,30 @@ def test_a_hold_that_the_database_ended_is_noticed(start_api: StartApi, monkeypa
 
     async def cut() -> None:
         async with holding_back(dsn) as hold:
-            query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
-            async with await psycopg.AsyncConnection.connect(dsn) as other:
-                await other.execute(f"{query} AND datname = current_database()")
+            await _end_connections(dsn)
             while True:
                 await asyncio.sleep(0.01)
                 hold.check()
 
     with pytest.raises(Unreachable, match="held back the sweep"):
         asyncio.run(cut())
+
+
+def test_a_hold_that_ended_just_now_makes_no_backup(
+    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def copy_and_cut(*what: Any) -> None:
+        await side_by_side(*what)
+        await _end_connections(plain_dsn(settings_of(lived_in).database_url))
+
+    monkeypatch.setattr(creating, "side_by_side", copy_and_cut)
+    with pytest.raises(Unreachable, match="held back the sweep"):
+        back_up(settings_of(lived_in), tmp_path)
+    assert not any(tmp_path.glob("snapshots/*"))
+
+
+async def _end_connections(dsn: str) -> None:
+    """Let the database end those of backups, as when it is started again."""
+    query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
+    async with await psycopg.AsyncConnection.connect(dsn) as other:
+        await other.execute(f"{query} AND datname = current_database()")

@@ -106,7 +106,7 @@ async def _create(settings: Settings, making: Making, repository: Repository, wa
                 check=hold.check,
             )
             await side_by_side(wanted.groups(), copier.copy, making.at_once)
-        hold.check()
+        await hold.confirm()
         snapshot = Snapshot(
             id=f"{created_at:%Y%m%dT%H%M%SZ}-{secrets.token_hex(3)}",
             created_at=created_at,

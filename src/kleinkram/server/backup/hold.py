@@ -32,15 +32,22 @@ class Hold:
                 "what was deleted since: run it again, what was copied stays."
             )
 
+    async def confirm(self) -> None:
+        """Ask the database now, and see the same: `check` may not know yet of what happened half a minute ago."""
+        await self._ask()
+        self.check()
+
     async def keep(self) -> None:
-        """Say so until it is no longer so."""
-        while True:
+        """Ask again and again, until it is no longer so."""
+        while self._lost is None:
             await asyncio.sleep(_ASK_EVERY_S)
-            try:
-                await self._connection.execute("SELECT 1")
-            except psycopg.Error as error:
-                self._lost = str(error).strip().partition("\n")[0]
-                return
+            await self._ask()
+
+    async def _ask(self) -> None:
+        try:
+            await self._connection.execute("SELECT 1")
+        except psycopg.Error as error:
+            self._lost = self._lost or str(error).strip().partition("\n")[0]
 
 
 @asynccontextmanager
