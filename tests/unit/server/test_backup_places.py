@@ -1,6 +1,8 @@
 """Folders that hold backups, or something else: what is not ours stays, what is ours outlives a power cut."""
 
 import asyncio
+import os
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -44,3 +46,34 @@ def test_what_was_being_written_when_a_run_was_killed_goes(tmp_path: Path) -> No
     _make(tmp_path)
     asyncio.run(forget(str(tmp_path), None, keep=1))
     assert not half.exists()
+
+
+def test_what_a_killed_run_wrote_is_on_the_disk_before_a_backup_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asyncio.run(_make(tmp_path).put("data/ab/abc", _once(b"bytes"), 5))  # and then it was killed
+    synced: set[Path] = set()
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.add(Path(f"/proc/self/fd/{descriptor}").readlink()))
+
+    async def go_on() -> None:
+        shelf = FolderShelf(tmp_path)
+        assert [item.path async for item in shelf.listed("data/")] == ["data/ab/abc"]
+        await shelf.settle()
+
+    asyncio.run(go_on())
+    assert synced >= {tmp_path, tmp_path / "data", tmp_path / "data" / "ab"}
+
+
+def test_a_file_that_goes_meanwhile_hides_no_other(tmp_path: Path) -> None:
+    for number in range(9):
+        (tmp_path / f"{number}").write_bytes(b"bytes")
+        (tmp_path / f"{number}-gone").symlink_to("nowhere")  # as a listed name that is there no more
+
+    async def listed() -> list[str]:
+        return [item.path async for item in FolderShelf(tmp_path).listed("")]
+
+    assert asyncio.run(listed()) == [f"{number}" for number in range(9)]
+
+
+async def _once(body: bytes) -> AsyncIterator[bytes]:
+    yield body

@@ -117,6 +117,8 @@ class FolderShelf:
     async def listed(self, prefix: str) -> AsyncGenerator[Item, None]:
         """Yield files, folder by folder."""
         folder = self._root / prefix
+        # What a run that was killed wrote there, who goes on from it takes for written: `settle` is to see to it.
+        self._touched.update({folder, self._root})
         with self._explained():
             entries = await asyncio.to_thread(_entries, folder)
         for name, size_bytes, at in entries:
@@ -181,8 +183,9 @@ def _entries(folder: Path) -> list[tuple[str, int | None, float]]:
     found: list[tuple[str, int | None, float]] = []
     with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:
         for entry in entries:
-            state = entry.stat()
-            found.append((entry.name, None if entry.is_dir() else state.st_size, state.st_mtime))
+            with contextlib.suppress(FileNotFoundError):  # it went meanwhile, which says nothing of the others
+                state = entry.stat()
+                found.append((entry.name, None if entry.is_dir() else state.st_size, state.st_mtime))
     return sorted(found)
 
 
