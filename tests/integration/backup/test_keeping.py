@@ -56,24 +56,24 @@ def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     largest.write_bytes(flipped)
-    assert look(tmp_path, read_all=False).damage == []  # names and sizes say nothing of it
-    [sentence] = look(tmp_path).damage
+    assert look(tmp_path, read_all=False).damage.first == []  # names and sizes say nothing of it
+    [sentence] = look(tmp_path).damage.first
     assert largest.name in sentence
     assert "changed or cut off" in sentence
 
     largest.write_bytes(whole[:-1])
-    [sentence] = look(tmp_path, read_all=False).damage
+    [sentence] = look(tmp_path, read_all=False).damage.first
     assert f"has {len(whole) - 1} bytes and should have {len(whole)}" in sentence
 
     largest.unlink()
-    [sentence] = look(tmp_path, read_all=False).damage
+    [sentence] = look(tmp_path, read_all=False).damage.first
     assert "is missing" in sentence
     assert made.snapshot.id in sentence
 
     largest.write_bytes(whole)
     [document] = tmp_path.glob("snapshots/*.json")
     document.write_bytes(document.read_bytes()[:-10])
-    [sentence] = look(tmp_path, read_all=False).damage
+    [sentence] = look(tmp_path, read_all=False).damage.first
     assert made.snapshot.id in sentence
     assert "cannot be restored" in sentence
     with pytest.raises(Damaged):
@@ -95,14 +95,14 @@ def test_what_is_sealed_tells_nothing_and_comes_back(lived_in: Api, sites: Sites
     for passphrase, sentence in ((None, "are sealed"), ("another", "is not the one")):
         with pytest.raises(NotOpened, match=sentence):
             look(tmp_path, passphrase=passphrase)
-    assert look(tmp_path, passphrase="horse staple").damage == []
+    assert look(tmp_path, passphrase="horse staple").damage.first == []
     with sites.empty() as target:
         fill(target, tmp_path, passphrase="horse staple")
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
     *_, largest = content_files(tmp_path)
     largest.write_bytes(largest.read_bytes()[: -(1024 * 1024)])  # a whole frame less
-    assert len(look(tmp_path, passphrase="horse staple").damage) == 2 + 1  # each backup, and the bytes themselves
+    assert len(look(tmp_path, passphrase="horse staple").damage.first) == 2 + 1  # each backup, and the bytes themselves
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     assert done.removed >= 1
     assert kept["id"]
     found = look(tmp_path)
-    assert (found.snapshots, found.damage, found.unused) == (1, [], 0)
+    assert (found.snapshots, found.damage.first, found.unused) == (1, [], 0)
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_a_bucket_keeps_backups_too(
     assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 0
     assert asyncio.run(forget(place, "p", keep=1)).kept
     found = look(place, passphrase="p")
-    assert (found.damage, found.snapshots, found.unused) == ([], 1, 0)
+    assert (found.damage.first, found.snapshots, found.unused) == ([], 1, 0)
     with sites.empty() as target:
         fill(target, place, passphrase="p")
         assert contents(target) == contents(source)

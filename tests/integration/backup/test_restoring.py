@@ -1,6 +1,8 @@
 """What was backed up is restored: every row, every byte; and what would not be so is said."""
 
 import json
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
 from hashlib import sha256
 from pathlib import Path
 
@@ -8,11 +10,13 @@ import psycopg
 import pytest
 from alembic import command
 
+from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.backup import loading
 from kleinkram.server.backup.bucket import BucketShelf
 from kleinkram.server.backup.failing import BackupError, InTheWay
 from kleinkram.server.migrations import HEAD, alembic_config
 from kleinkram.server.settings import plain_dsn
+from kleinkram.server.storage import Storage
 from tests.integration.backup.sites import (
     Sites,
     back_up,
@@ -33,7 +37,7 @@ from tests.integration.uploading import upload
 def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
     source = settings_of(lived_in)
     made = back_up(source, tmp_path)
-    assert made.tally.problems == []
+    assert made.tally.problems.first == []
     with sites.empty() as target:
         restored = fill(target, tmp_path)
         assert restored.missing == []
@@ -71,7 +75,7 @@ def test_only_what_is_new_is_copied_and_what_was_cut_off_is_copied_again(lived_i
         file.truncate(1000)  # as a power cut may leave it
     third = back_up(settings_of(lived_in), tmp_path)
     assert third.tally.copied == 1
-    assert look(tmp_path).damage == []
+    assert look(tmp_path).damage.first == []
 
 
 @pytest.mark.slow
@@ -87,8 +91,8 @@ def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
     delete_object(source, by_path["lost"])
     write_object(source, by_path["spoiled"], b"other bytes")
     made = back_up(source, tmp_path)
-    assert sorted(made.tally.problems) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
-    assert look(tmp_path).damage == []
+    assert sorted(made.tally.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
+    assert look(tmp_path).damage.first == []
     with sites.empty() as target:
         restored = fill(target, tmp_path)
         assert {each.key: each.state for each in restored.missing} == {
@@ -99,6 +103,26 @@ def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
         states = "SELECT file.path, state FROM blob JOIN file ON file.blob_id = blob.id"
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             assert dict(database.execute(states).fetchall()) == {"lost": "lost", "spoiled": "corrupt", "fine": "stored"}
+
+
+def test_a_store_that_stops_once_in_the_middle_of_everything_costs_nothing(
+    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, begun = Storage.read, set[str]()
+
+    async def read_but_stop_at_first(self: Storage, key: str) -> AsyncGenerator[bytes, None]:
+        async with aclosing(read(self, key)) as pieces:
+            async for piece in pieces:
+                if key not in begun:
+                    begun.add(key)
+                    raise StoreUnavailable(reason="reading stopped")
+                yield piece
+
+    monkeypatch.setattr(Storage, "read", read_but_stop_at_first)
+    made = back_up(settings_of(lived_in), tmp_path)
+    assert made.tally.problems.first == []
+    assert made.tally.copied == len(begun) == 7
+    assert look(tmp_path).damage.first == []
 
 
 def test_a_site_that_is_not_empty_is_left_alone(lived_in: Api, sites: Sites, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from kleinkram.server.backup.failing import BackupError, CannotBeMeant, Damaged
 from kleinkram.server.backup.forgetting import forget
 from kleinkram.server.backup.locking import at_work
 from kleinkram.server.backup.pace import amount
+from kleinkram.server.backup.problems import MOST_KEPT, Problems
 from kleinkram.server.backup.repository import open_place, open_repository
 from kleinkram.server.backup.restoring import Wish, restore
 from kleinkram.server.backup.verifying import Looking, verify
@@ -135,7 +136,7 @@ async def _create(order: CreateOrder) -> int:
         "lost": tally.lost,
         "corrupt": tally.corrupt,
         "elsewhere": snapshot.elsewhere,
-        "problems": tally.problems,
+        "problems": tally.problems.first,
     }
     sentence = (
         f"Backup {snapshot.id}: {tally.objects} objects, {amount(tally.object_bytes)}, of which {tally.copied} were "
@@ -151,7 +152,7 @@ async def _create(order: CreateOrder) -> int:
         "all others are in the backup",
         tally.problems,
     )
-    return _BYTES_DIFFER if tally.problems else 0
+    return _BYTES_DIFFER if tally.problems.count else 0
 
 
 async def _list(order: ListOrder) -> int:
@@ -200,10 +201,11 @@ async def _verify(order: VerifyOrder) -> int:
         sentence += f"\n{found.unused} contents ({amount(found.unused_bytes)}) are of no whole backup yet."
     if found.lost_at_source:
         sentence += f"\n{found.lost_at_source} objects were lost before they were backed up."
-    sentence += "\nDamaged." if found.damaged else "\nAll as it should be."
-    _say(order, {**vars(found), "ok": not found.damaged}, sentence)
-    _complain(f"{found.damaged} things are damaged", found.damage)
-    return _BYTES_DIFFER if found.damaged else 0
+    sentence += "\nDamaged." if found.damage.count else "\nAll as it should be."
+    told = {**vars(found), "damaged": found.damage.count, "damage": found.damage.first}
+    _say(order, {**told, "ok": not found.damage.count}, sentence)
+    _complain(f"{found.damage.count} things are damaged", found.damage)
+    return _BYTES_DIFFER if found.damage.count else 0
 
 
 async def _forget(order: ForgetOrder) -> int:
@@ -226,7 +228,9 @@ async def _restore(order: RestoreOrder) -> int:
         quiet=order.as_json,
     )
     done = await restore(_settings(), wish)
-    problems = [f"{each.key}: {each.state}: {each.reason}" for each in done.missing]
+    problems = Problems()
+    for each in done.missing:
+        problems.say(f"{each.key}: {each.state}: {each.reason}")
     told = {
         "id": done.snapshot.id,
         "created_at": done.snapshot.created_at.isoformat(),
@@ -234,15 +238,15 @@ async def _restore(order: RestoreOrder) -> int:
         "object_bytes": done.object_bytes,
         "sent": done.sent,
         "rows": sum(table.rows for table in done.snapshot.tables),
-        "problems": problems,
+        "problems": problems.first,
     }
     sentence = (
         f"Restored {done.snapshot.id}, the site as of {done.snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {done.objects} "
         f"objects, {amount(done.object_bytes)}; {told['rows']} rows."
     )
     _say(order, told, sentence)
-    _complain(f"{len(problems)} objects are lost or corrupt, and are shown so; all others are there", problems)
-    return _BYTES_DIFFER if problems else 0
+    _complain(f"{problems.count} objects are lost or corrupt, and are shown so; all others are there", problems)
+    return _BYTES_DIFFER if problems.count else 0
 
 
 def _settings() -> Settings:
@@ -260,10 +264,11 @@ def _say(order: _Order, told: object, sentence: str) -> None:
     print(json.dumps(told, indent=2) if order.as_json else sentence)  # noqa: T201
 
 
-def _complain(sentence: str, problems: list[str]) -> None:
-    if problems:
-        shown = [f"  {each}" for each in problems[:_MOST_SHOWN]]
-        more = [f"  and {len(problems) - _MOST_SHOWN} more (--json has them)"] if len(problems) > _MOST_SHOWN else []
+def _complain(sentence: str, problems: Problems) -> None:
+    if problems.count:
+        shown = [f"  {each}" for each in problems.first[:_MOST_SHOWN]]
+        more = [f"  and {problems.count - len(shown)} more (--json names up to {MOST_KEPT})"]
+        more = more if problems.count > len(shown) else []
         print("\n".join([f"Error: {sentence}:", *shown, *more]), file=sys.stderr)  # noqa: T201
 
 

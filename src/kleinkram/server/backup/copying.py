@@ -16,6 +16,7 @@ from kleinkram.server.backup.dumping import Wanted
 from kleinkram.server.backup.failing import Unreachable
 from kleinkram.server.backup.names import Names
 from kleinkram.server.backup.pace import Pace
+from kleinkram.server.backup.problems import Problems
 from kleinkram.server.backup.repository import Repository
 from kleinkram.server.backup.snapshot import ObjectEntry, ObjectList, Piece, Problem
 from kleinkram.server.storage import Storage
@@ -48,7 +49,7 @@ class Tally:
     copied_bytes: int = 0
     lost: int = 0
     corrupt: int = 0
-    problems: list[str] = field(default_factory=list)
+    problems: Problems = field(default_factory=Problems)
 
 
 class Lister:
@@ -139,10 +140,10 @@ class Copier:
 
     async def _keep(self, key: str, sha256: bytes | None, size_bytes: int) -> bytes:
         """Keep what a key holds, under the SHA-256 that it is said to have. Without one it is read for that first."""
-        if sha256 is None:
-            sha256, size_bytes = await self._hash(key)
         for left in reversed(range(_READ_TRIES)):
             try:
+                if sha256 is None:
+                    sha256, size_bytes = await self._hash(key)
                 if self._is_held(sha256, size_bytes):
                     return sha256
                 async with aclosing(self._verified(key, sha256, size_bytes)) as pieces:
@@ -204,7 +205,7 @@ class Copier:
         if wanted.sha256 is None and found is None and not await self.is_still_named(wanted.key):
             return  # a piece of a log that was being let go just then
         if problem is not None:
-            self.tally.problems.append(f"{wanted.key}: {problem}")
+            self.tally.problems.say(f"{wanted.key}: {problem}")
         await self.lister.add(
             ObjectEntry(
                 key=wanted.key,

@@ -7,15 +7,14 @@ from kleinkram.server.backup.failing import Damaged
 from kleinkram.server.backup.locking import at_work
 from kleinkram.server.backup.names import Names
 from kleinkram.server.backup.pace import Pace, amount, telling
+from kleinkram.server.backup.problems import Problems
 from kleinkram.server.backup.repository import Repository, open_place, open_repository
 from kleinkram.server.backup.snapshot import ObjectEntry, Piece, Snapshot
-
-_MOST_SAID = 1000
 
 
 @dataclass
 class Verified:
-    """What was found. `damage`: a sentence each, the first thousand; `damaged` is how many there are."""
+    """What was found."""
 
     snapshots: int = 0
     contents: int = 0
@@ -24,14 +23,7 @@ class Verified:
     unused: int = 0
     unused_bytes: int = 0
     lost_at_source: int = 0
-    damaged: int = 0
-    damage: list[str] = field(default_factory=list)
-
-    def say(self, sentence: str) -> None:
-        """Note damage."""
-        self.damaged += 1
-        if len(self.damage) < _MOST_SAID:
-            self.damage.append(sentence)
+    damage: Problems = field(default_factory=Problems)
 
 
 @dataclass(frozen=True)
@@ -97,7 +89,7 @@ async def _look_at(repository: Repository, snapshot_id: str, names: Names, verif
     try:
         await mark(repository, await repository.snapshot(snapshot_id), names, verified)
     except Damaged as error:
-        verified.say(f"The backup {snapshot_id} cannot be restored: {error}")
+        verified.damage.say(f"The backup {snapshot_id} cannot be restored: {error}")
 
 
 @dataclass(frozen=True)
@@ -131,7 +123,7 @@ class _Marking:
             self.at(bytes.fromhex(entry.sha256), size_bytes, f"the object {entry.key}")
 
     def _say(self, words: str) -> None:
-        self.verified.say(f"In the backup {self.snapshot_id}, {words}.")
+        self.verified.damage.say(f"In the backup {self.snapshot_id}, {words}.")
 
 
 @dataclass(frozen=True)
@@ -147,4 +139,4 @@ class _Reading:
         try:
             await self.repository.prove(name, self.pace)
         except (Damaged, FileNotFoundError) as error:
-            self.verified.say(str(error))
+            self.verified.damage.say(str(error))
