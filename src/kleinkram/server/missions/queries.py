@@ -126,9 +126,12 @@ def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
 
 
 def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter | None = None) -> Select[Any]:
-    """Return the visible missions that match, among those that a query of files finds, where there is one."""
+    """Return the visible missions that match, among those that a query of files finds, where there is one.
+
+    To be counted, or read with `mission_rows`.
+    """
     narrowed = narrow_missions(actor, visible_missions(actor), matching)
-    return mission_rows(actor, narrowed if found is None else narrow_missions_found(actor, narrowed, found))
+    return narrowed if found is None else narrow_missions_found(actor, narrowed, found)
 
 
 def count_drawn(actor: Actor, found: FileFilter) -> Select[Any]:

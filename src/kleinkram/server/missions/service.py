@@ -109,8 +109,9 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    statement = queries.matching_missions(actor, matching, found)
-    rows = await fetch_page(db, statement, queries.mission_order(actor, sort), page)
+    matched = queries.matching_missions(actor, matching, found)
+    described = queries.mission_rows(actor, matched)
+    rows = await fetch_page(db, described, queries.mission_order(actor, sort), page, counted=matched)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
