@@ -74,14 +74,19 @@ class Played:
         assert _POOL.request("PUT", signed["url"], body=data, headers=signed["headers"]).status == 200
         self.api.post(f"/runner/runs/{claim['run_id']}/log/kept", place).ok(204)
 
-    def leave(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
-        """Upload an artifact."""
+    def begin(self, claim: Mapping[str, Any], path: str, data: bytes) -> Any:
+        """Open the upload of an artifact."""
         wanted = {"path": path, "size_bytes": len(data), "sha256": sha256(data)}
         body = {"attempt": claim["attempt"], "files": [wanted]}
         (decision,) = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
         assert decision["decision"] == "send", decision
-        send(self.api, decision["upload"], data)
-        finish = {"upload_id": decision["upload"]["id"], "sha256": sha256(data), "crc64nvme": crc64(data)}
+        return decision["upload"]
+
+    def leave(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
+        """Upload an artifact."""
+        begun = self.begin(claim, path, data)
+        send(self.api, begun, data)
+        finish = {"upload_id": begun["id"], "sha256": sha256(data), "crc64nvme": crc64(data)}
         (outcome,) = self.api.post("/uploads/complete", {"uploads": [finish]}).ok()["items"]
         assert outcome["outcome"] == "completed", outcome
 

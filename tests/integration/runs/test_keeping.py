@@ -51,6 +51,16 @@ def test_what_a_run_left_stays_until_its_mission_goes(lab: Api, runner: Played, 
     assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
 
 
+def test_an_artifact_whose_upload_nobody_wrote_down_is_taken_up(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim, data = runner.claim(), bytes(20_000_000)
+    upload_id = runner.begin(claim, "large", data)["id"]
+    (opened,) = lab.sql("SELECT multipart_id FROM upload WHERE id = %s", upload_id)
+    lab.sql("UPDATE upload SET multipart_id = NULL WHERE id = %s", upload_id)  # the API died before it could
+    assert runner.begin(claim, "large", data)["id"] == upload_id
+    assert lab.sql("SELECT multipart_id FROM upload WHERE id = %s", upload_id) == [opened]
+
+
 def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()

@@ -97,7 +97,7 @@ async def _compare_page(walk: _Walk, listed: Mapping[str, int], after: str, unti
             rows = (await db.execute(kept)).all()
         for row in rows:
             _look_at(walk, row, listed.get(row.key))
-        known |= {row.key for row in rows}
+        known |= {row.key for row in rows if row.key in listed}
         yield
         if len(rows) < _BATCH:
             break

@@ -40,7 +40,7 @@ async def begin_artifacts(
         rows = await _uploads(db, ids)
     try:
         multipart = [each for each in rows.values() if is_multipart(each)]
-        parts = await open_at_store(site, multipart) if multipart else {}
+        parts = await open_at_store(site, multipart, resumed=set(ids) - set(begun)) if multipart else {}
     except StoreUnavailable:
         await let_go(site, begun)
         raise
