@@ -1,35 +1,27 @@
 """A random life of uploads and blobs on a real server, beside a model that knows what must be true after each step."""
 
-import asyncio
 import re
-import threading
 import uuid
-from collections.abc import Awaitable, Callable, Coroutine
+from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, TypeVar, cast
+from typing import Any
 
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
-from procrastinate import JobContext
-from sqlalchemy import text
 
 from kleinkram.server.blobs import jobs, scrubbing
-from kleinkram.server.blobs.reading import Readers
-from kleinkram.server.db import open_database
-from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.site import Site
-from kleinkram.server.storage import open_storage
 from kleinkram.server.uploads.jobs import tend_uploads
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, send, sha256
+from tests.integration.uploads.behind import SiteThread, prove_all
 
-T = TypeVar("T")
 _PAGE = Path(__file__).parents[3] / "docs" / "states.md"
 _PATHS = ("a.bin", "b.bin", "c/d.bin")
 _BODIES = (b"one", b"another", b"the third one")
-# All that is bytes and no recording: nothing reads along.
-_ALL_BLOBS = text("UPDATE blob SET content = 'opaque', summarised_at = now() WHERE doomed_at IS NULL RETURNING id")
+
+# What the server told of an upload, if it is to be sent, and what to send.
+Upload = tuple[dict[str, Any], bytes]
 
 
 def documented(heading: str) -> set[tuple[str, str]]:
@@ -46,51 +38,16 @@ def _reached(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     return found
 
 
-class SiteThread:
-    """A site of its own for the test's hand behind the server, kept open in a thread."""
-
-    def __init__(self, api: Api) -> None:
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
-        self._thread.start()
-        self._ended = asyncio.Event()
-        ready: asyncio.Future[Site] = asyncio.Future(loop=self._loop)
-        self._task = asyncio.run_coroutine_threadsafe(self._stay(api, ready), self._loop)
-        self.site = asyncio.run_coroutine_threadsafe(_result(ready), self._loop).result(30)
-
-    async def _stay(self, api: Api, ready: "asyncio.Future[Site]") -> None:
-        settings = api.app.state.settings
-        database = open_database(settings, statement_timeout_s=None)
-        async with open_storage(settings) as storage:
-            ready.set_result(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))
-            await self._ended.wait()
-        await database.close()
-
-    def run(self, work: Callable[[Site], Coroutine[Any, Any, T]]) -> T:
-        """Do something with the site."""
-        return asyncio.run_coroutine_threadsafe(work(self.site), self._loop).result(60)
-
-    def close(self) -> None:
-        """Let go of everything."""
-        self._loop.call_soon_threadsafe(self._ended.set)
-        self._task.result(30)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(30)
-
-
-async def _result(ready: "asyncio.Future[Site]") -> Site:
-    return await ready
-
-
 class Machine(RuleBasedStateMachine):
     """What people, jobs and a lying store do to one mission, in any order."""
 
     api: Api
     site: SiteThread
-    uploads: Bundle[tuple[dict[str, Any], bytes]] = Bundle("uploads")
+    uploads: Bundle[Upload] = Bundle("uploads")
 
     def __init__(self) -> None:
         super().__init__()
+        self._wipe()
         self.project_id = self.api.project()["id"]
         self.mission_id = self.api.mission(self.project_id)["id"]
         # By key: what was done to an object behind the server's back.
@@ -100,18 +57,27 @@ class Machine(RuleBasedStateMachine):
         # To complete is to go two ways at once; a blob goes one at a time.
         self.edges = {"upload": _reached(documented("An upload")), "blob": documented("A blob")}
 
+    def _wipe(self) -> None:
+        """Take away what an earlier life left that something was wrong with."""
+        for table in ("upload", "file", "blob"):
+            self.api.sql(f"DELETE FROM {table}")
+        for key in self._keys():
+            self.site.run(partial(_delete, key=key))
+
     # What people do.
 
     @rule(target=uploads, path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES), hashed=st.booleans())
-    def announce(self, path: str, body: bytes, hashed: bool) -> tuple[dict[str, Any], bytes]:
+    def announce(self, path: str, body: bytes, hashed: bool) -> Upload:
         """Announce a file; it is sent, linked, there already, or refused since the name is held or taken."""
         return self._begin(path, body, hashed=hashed)
 
-    def _begin(self, path: str, body: bytes, *, hashed: bool) -> tuple[dict[str, Any], bytes]:
+    def _begin(self, path: str, body: bytes, *, hashed: bool) -> Upload:
         decision = begin(self.api, self.mission_id, {path: body}, hashed=hashed)[0]
         if decision["decision"] == "refused":
             assert decision["problem"]["code"] in {"name_leased", "file_exists"}
             assert self._holds(path), "refused, although nobody holds the name"
+        if decision["decision"] in {"linked", "present"}:
+            self._see_that_it_can_be_read(path, body)
         return decision.get("upload") or {}, body
 
     @rule(path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES))
@@ -120,33 +86,36 @@ class Machine(RuleBasedStateMachine):
         upload = self._begin(path, body, hashed=True)
         self._send(upload)
         self._complete(upload)
+        if upload[0]:
+            self._see_that_it_can_be_read(path, body)
 
     @rule(upload=uploads)
-    def send(self, upload: tuple[dict[str, Any], bytes]) -> None:
+    def send(self, upload: Upload) -> None:
         """Send all of a file, if its upload is open."""
         self._send(upload)
 
-    def _send(self, upload: tuple[dict[str, Any], bytes]) -> None:
+    def _send(self, upload: Upload) -> None:
         if upload[0] and self._state(upload[0]) == "open" and self._key(upload[0]) not in self._keys():
             send(self.api, *upload)
 
     @rule(upload=uploads)
-    def complete(self, upload: tuple[dict[str, Any], bytes]) -> None:
+    def complete(self, upload: Upload) -> None:
         """Complete an upload; what is said to be completed is a file with these bytes."""
         self._complete(upload)
 
-    def _complete(self, upload: tuple[dict[str, Any], bytes]) -> None:
+    def _complete(self, upload: Upload) -> None:
         if not upload[0]:
             return
-        was, is_there = self._state(upload[0]), self._key(upload[0]) in self._keys()
+        was, arrived_bytes = self._state(upload[0]), self._keys().get(self._key(upload[0]))
         outcome = complete(self.api, *upload)
         if outcome["outcome"] == "completed":
             assert outcome["file"]["sha256"] == sha256(upload[1])
-        elif was == "open" and is_there:
+            assert was == "done" or arrived_bytes == len(upload[1]), "completed, although not all of it is there"
+        elif was == "open" and arrived_bytes == len(upload[1]):
             assert outcome["problem"]["code"] in {"file_exists", "upload_gone"}
 
     @rule(upload=uploads)
-    def abort(self, upload: tuple[dict[str, Any], bytes]) -> None:
+    def abort(self, upload: Upload) -> None:
         """Break an upload off."""
         if upload[0]:
             self.api.delete(f"/uploads/{upload[0]['id']}").ok(204)
@@ -171,11 +140,18 @@ class Machine(RuleBasedStateMachine):
     # What time and jobs do.
 
     @rule()
+    def lapse(self) -> None:
+        """Let all names go that are held for uploads; these can go on until another takes the name."""
+        self.api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 hour' WHERE state = 'open'")
+
+    @rule()
     def expire(self) -> None:
-        """Let all that is under way lapse, and clean up after it."""
-        self.api.sql("UPDATE upload SET expires_at = now(), lease_ends_at = now() - interval '1 hour'"
-                     " WHERE state = 'open'")  # fmt: skip
+        """Let all that is under way lapse, and clean up after it; then nothing is reserved."""
+        self.lapse()
+        self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
         self.site.run(lambda site: tend_uploads(site, stale_s=0))
+        told = self.api.get(f"/projects/{self.project_id}").ok()
+        assert (told["used_files"], told["used_bytes"]) == (told["file_count"], told["size_bytes"])
 
     @rule()
     def empty_trash(self) -> None:
@@ -193,17 +169,27 @@ class Machine(RuleBasedStateMachine):
     @rule()
     def prove(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
-        self.site.run(_prove_all)
-        self._see_that_damage_is_told({"gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self.site.run(prove_all)
+        self._see_what_is_told({"whole": "proven", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
         self.site.run(lambda site: scrubbing.scrub_store(site, scrub_id))
-        self._see_that_damage_is_told({"gone": "lost", "cut": "corrupt"})
+        self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
+
+    @rule(upload=uploads, what=st.sampled_from(["gone", "cut"]))
+    def swallow(self, upload: Upload, what: str) -> None:
+        """Keep less than what was sent of an upload that is open, or nothing."""
+        if not upload[0] or self._state(upload[0]) != "open" or (key := self._key(upload[0])) not in self._keys():
+            return
+        if what == "gone":
+            self.site.run(lambda site: site.storage.delete(key))
+        else:
+            self.site.run(lambda site: site.storage.put_small(key, upload[1][:-1]))
 
     @rule(place=st.integers(0, 2), what=st.sampled_from(["gone", "cut", "altered", "whole"]))
     def lie(self, place: int, what: str) -> None:
@@ -236,24 +222,20 @@ class Machine(RuleBasedStateMachine):
 
     @invariant()
     def every_object_is_known(self) -> None:
-        """No object without a row."""
-        known = {row[0] for row in self.api.sql("SELECT key FROM blob UNION SELECT key FROM upload")}
-        assert {key for key in self._keys() if not key.startswith("probe/")} <= known
+        """No object without a row that sees to its end."""
+        known = "SELECT key FROM blob UNION SELECT key FROM upload WHERE cleaned_at IS NULL"
+        assert {key for key in self._keys() if not key.startswith("probe/")} <= {row[0] for row in self.api.sql(known)}
 
     @invariant()
     def what_is_used_adds_up(self) -> None:
         """Files and uploads under way, each once."""
         told = self.api.get(f"/projects/{self.project_id}").ok()
-        files = self._files()
-        coming = self.api.sql(
-            "SELECT u.size_bytes FROM upload u WHERE u.mission_id = %s AND u.state IN ('open', 'completing') AND NOT"
-            " EXISTS (SELECT 1 FROM file f WHERE f.mission_id = u.mission_id AND f.path_key = u.path_key"
-            " AND f.deleted_at IS NULL)",
-            self.mission_id,
-        )
-        assert told["file_count"] == len(files)
-        assert told["size_bytes"] == sum(file["size_bytes"] for file in files)
-        assert len(files) + len(coming) <= told["used_files"] <= len(files) + len(_PATHS)
+        sizes = [file["size_bytes"] for file in self._files()]
+        under_way = "SELECT size_bytes FROM upload WHERE mission_id = %s AND state IN ('open', 'completing')"
+        coming = [row[0] for row in self.api.sql(under_way, self.mission_id)]
+        assert len(coming) <= len(_PATHS), "a name is held twice"
+        assert (told["file_count"], told["size_bytes"]) == (len(sizes), sum(sizes))
+        assert (told["used_files"], told["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
 
     @invariant()
     def states_move_along_documented_edges(self) -> None:
@@ -304,24 +286,22 @@ class Machine(RuleBasedStateMachine):
         return str(rows[0][0]) if rows else ""
 
     def _holds(self, path: str) -> bool:
-        held = "SELECT 1 FROM upload WHERE mission_id = %s AND path = %s AND state IN ('open', 'completing')"
+        held = (
+            "SELECT 1 FROM upload WHERE mission_id = %s AND path = %s"
+            " AND (state = 'completing' OR state = 'open' AND lease_ends_at > now())"
+        )
         return bool(self.api.sql(held, self.mission_id, path)) or path in {file["path"] for file in self._files()}
 
-    def _see_that_damage_is_told(self, said: dict[str, str]) -> None:
+    def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
+        """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
+        [file] = [each for each in self._files() if each["path"] == path]
+        assert (file["sha256"], file["state"] in {"stored", "proven"}) == (sha256(body), True)
+
+    def _see_what_is_told(self, said: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():
-            if self.done_to.get(key) in said:
-                assert state == said[self.done_to[key]]
+            done = self.done_to.get(key, "whole")
+            assert state == said.get(done, state), (done, state)
 
 
-async def _prove_all(site: Site) -> None:
-    async with site.database.begin() as db:
-        rows = (await db.execute(_ALL_BLOBS)).scalars().all()
-    courtesy = Courtesy(site.database, site.settings)
-    courtesy.end()
-    async with Readers() as readers:
-        given = {"site": site, "courtesy": courtesy, "readers": readers}
-        # The job as the worker runs it, its last try.
-        job = SimpleNamespace(attempts=99, priority=0)
-        context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
-        for blob_id in rows:
-            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(context, ref=str(blob_id))
+async def _delete(site: Site, key: str) -> None:
+    await site.storage.delete(key)

@@ -1,16 +1,21 @@
 """Uploads and blobs through random histories: `docs/states.md` is all that ever happens to them."""
 
+import inspect
+import traceback
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import run_state_machine_as_test
+from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.uploads import UploadState
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
-from tests.integration.uploads.machine import Machine, SiteThread, documented
+from tests.integration.uploads.behind import SiteThread
+from tests.integration.uploads.faults import FAULTS, Fault, live, planted
+from tests.integration.uploads.machine import Machine, documented
 
 
 @pytest.fixture(name="machine", scope="module")
@@ -39,6 +44,24 @@ def _live(machine: type[Machine], *, examples: int, steps: int) -> None:
 @pytest.mark.timeout(400)
 def test_histories_of_uploads_and_blobs(machine: type[Machine]) -> None:
     _live(machine, examples=4, steps=20)
+
+
+def _found_by(machine: type[Machine], fault: Fault) -> str | None:
+    """Live through the fault's history, and return which rule, invariant or look found something wrong, if any did."""
+    try:
+        live(machine(), fault.history)
+    except (AssertionError, IntegrityError) as found:
+        frames = traceback.extract_tb(found.__traceback__)
+        return [frame.name for frame in frames if frame.filename == inspect.getfile(Machine)][-1]
+    return None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
+def test_a_planted_fault_is_found(machine: type[Machine], fault: Fault) -> None:
+    assert _found_by(machine, fault) is None, "nothing is wrong before"
+    with planted(fault):
+        assert _found_by(machine, fault) == fault.found_by
 
 
 @pytest.mark.soak

@@ -1,0 +1,208 @@
+"""Faults to plant into the server, one at a time: the machine must find each, or it proves nothing."""
+
+import inspect
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from types import FunctionType
+from typing import Any, cast
+
+from kleinkram.server.blobs import jobs, queries, scrubbing, service
+from kleinkram.server.blobs.proving import Found
+from kleinkram.server.uploads import completion, joining, rules
+from kleinkram.server.uploads import jobs as upload_jobs
+from kleinkram.server.uploads import queries as upload_queries
+from kleinkram.server.uploads import service as upload_service
+from tests.integration.uploads.machine import Machine, Upload
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One text of a function that is replaced, a history that suffices to show it, and what must then find it."""
+
+    name: str
+    function: Callable[..., Any]
+    right: str
+    wrong: str
+    found_by: str
+    history: str
+
+
+@contextmanager
+def planted(fault: Fault) -> Iterator[None]:
+    """Have a function of the server do the wrong thing until the block ends, whoever calls it by whatever name."""
+    function = fault.function
+    assert isinstance(function, FunctionType)
+    source = textwrap.dedent(inspect.getsource(function))
+    assert source.count(fault.right) == 1, f"{function.__qualname__} has changed: plant {fault.name!r} anew"
+    made: dict[str, Any] = {}
+    exec(source.replace(fault.right, fault.wrong), {**vars(sys.modules[function.__module__])}, made)
+    sound, function.__code__ = function.__code__, made[function.__name__].__code__
+    try:
+        yield
+    finally:
+        function.__code__ = sound
+
+
+def live(life: Machine, history: str) -> None:
+    """Do the steps that a history names, looking after each at what is always true, and come to the end."""
+    announced: list[Upload] = []
+    steps: dict[str, Callable[[], object]] = {
+        "announce": lambda: announced.append(cast("Upload", life.announce("a.bin", b"one", hashed=True))),
+        "announce another": lambda: life.announce("a.bin", b"another", hashed=True),
+        "send": lambda: life.send(announced[0]),
+        "cut": lambda: life.swallow(announced[0], "cut"),
+        "swallow": lambda: life.swallow(announced[0], "gone"),
+        "abort": lambda: life.abort(announced[0]),
+        "complete": lambda: life.complete(announced[0]),
+        "bring": lambda: life.bring("a.bin", b"one"),
+        "bring twin": lambda: life.bring("b.bin", b"one"),
+        "delete": lambda: life.delete(0),
+        "restore": lambda: life.restore(0),
+        **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
+        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.prove, life.scrub)},
+        "empty trash": life.empty_trash,
+    }
+    for step in history.split(", "):
+        steps[step]()
+        for invariant in life.invariants:
+            invariant.function(life)
+    life.teardown()
+
+
+_THE_OBJECT_GOES = "await site.storage.delete(row.key)\n"
+_FILES_REFER = "exists().where(file.c.blob_id == blob.c.id)"
+
+FAULTS = [
+    Fault(
+        "complete does not look at the size",
+        joining._find_whole,
+        "sizes.get(row.key) != row.size_bytes",
+        "row.key not in sizes",
+        "_complete",
+        "announce, send, cut, complete",
+    ),
+    Fault(
+        "complete does not look whether anything came",
+        completion.settle,
+        "failures = await join_at_store(site.storage, rows)",
+        "failures = {}",
+        "_complete",
+        "announce, send, swallow, complete",
+    ),
+    Fault(
+        "complete takes up what was broken off",
+        completion._unfit,
+        "row.state in {UploadState.aborted.value, UploadState.expired.value}",
+        "row.state == UploadState.expired.value",
+        "states_move_along_documented_edges",
+        "announce, send, abort, complete",
+    ),
+    Fault(
+        "expiry leaves the reservation",
+        upload_jobs.tend_uploads,
+        ".values(state=UploadState.expired.value)",
+        ".values(state=UploadState.open.value)",
+        "expire",
+        "announce, expire",
+    ),
+    Fault(
+        "expiry leaves the object",
+        upload_jobs._clean,
+        _THE_OBJECT_GOES,
+        "pass\n",
+        "every_object_is_known",
+        "announce, send, expire",
+    ),
+    Fault(
+        "what came by two ways stays",
+        completion._close,
+        "among(upload.c.id, made), kept)",
+        "among(upload.c.id, made))",
+        "every_object_is_known",
+        "bring, delete, announce, send, restore, complete",
+    ),
+    Fault(
+        "a lapsed lease still holds the name",
+        rules._during,
+        "active.leased or",
+        "True or",
+        "_begin",
+        "announce, lapse, announce another",
+    ),
+    Fault(
+        "who takes a name over leaves the other's upload",
+        upload_service._take_over,
+        "state=UploadState.aborted.value",
+        "state=UploadState.open.value",
+        "_begin",
+        "announce, lapse, announce another",
+    ),
+    Fault(
+        "the sweep takes what is in the trash",
+        queries.is_referred,
+        _FILES_REFER,
+        "exists().where(file.c.blob_id == blob.c.id, file.c.deleted_at.is_(None))",
+        "sweep",
+        "bring, delete, sweep",
+    ),
+    Fault(
+        "the sweep takes what a second file refers to",
+        queries.is_referred,
+        _FILES_REFER,
+        "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
+        "sweep",
+        "bring, bring twin, delete, empty trash",
+    ),
+    Fault(
+        "the sweep leaves the object",
+        jobs.sweep_once,
+        _THE_OBJECT_GOES,
+        "pass\n",
+        "every_object_is_known",
+        "bring, delete, empty trash",
+    ),
+    Fault(
+        "what is known to be lost is linked",
+        upload_queries._trusted_by,
+        "& (proven | own)",
+        "",
+        "_see_that_it_can_be_read",
+        "bring, object gone, prove, bring twin",
+    ),
+    Fault(
+        "what is lost counts as being there",
+        rules._beside,
+        "existing.state in UNREADABLE",
+        "False",
+        "_see_that_it_can_be_read",
+        "bring, object gone, prove, bring",
+    ),
+    Fault(
+        "the proof does not compare",
+        Found.differs_from,
+        "if self.size_bytes",
+        "if True:\n        return None\n    if self.size_bytes",
+        "_see_what_is_told",
+        "bring, object altered, prove",
+    ),
+    Fault(
+        "the scrub does not compare sizes",
+        scrubbing._look_at,
+        " or listed_bytes != row.size_bytes",
+        "",
+        "_see_what_is_told",
+        "bring, object cut, scrub",
+    ),
+    Fault(
+        "what was proven again is still said to be lost",
+        service.keep_proof,
+        '"state": BlobState.proven.value, "state_reason"',
+        '"state_reason"',
+        "_see_what_is_told",
+        "bring, object gone, prove, object whole, prove",
+    ),
+]
