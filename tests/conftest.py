@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.lacking import missing
 
@@ -16,6 +17,10 @@ RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).paren
 for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
         signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
+
+# How long an example takes is the machine's business, and that of others on it.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 
 @pytest.fixture(scope="session")

@@ -34,13 +34,17 @@ def test_a_program_that_follows_goes_on_after_a_restart(
 ) -> None:
     admin_url = postgres.migrate_url(settings["database_url"].rpartition("/")[2])
     heard: list[Change | Refetch] = []
+    last = {"id": ""}
     with serving(settings, admin_url=admin_url, folder=tmp_path) as api:
         project = api.project()
         # The owner's token is another one after the restart.
         client = connect(api.url, api.post("/tokens", {"name": "follower", "scopes": ["read"]}).ok(201)["secret"])
 
         def follow() -> None:
-            heard.extend(client.events.follow(for_s=12))
+            for each in client.events.follow(for_s=100):
+                heard.append(each)
+                if isinstance(each, Change) and str(each.id) == last["id"]:
+                    return
 
         follower = threading.Thread(target=follow, name="follower")
         follower.start()
@@ -52,9 +56,9 @@ def test_a_program_that_follows_goes_on_after_a_restart(
     assert time.monotonic() - stopped_at < 5, "open streams hold up the end of the server"
     with serving(settings, admin_url=admin_url, folder=tmp_path, port=port) as again:
         wait_until(lambda: Refetch(reason=RefetchReason.missed) in heard)
-        later = again.mission(project["id"])
-        wait_until(lambda: any(isinstance(each, Change) and str(each.id) == later["id"] for each in heard))
-        follower.join(20)
+        last["id"] = again.mission(project["id"])["id"]
+        again.patch(f"/missions/{last['id']}", {"notes": "told after its id is known here"}).ok()
+        follower.join(60)
         assert not follower.is_alive()
 
 

@@ -6,7 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import urllib3
 
-from kleinkram.server.health import routes
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.health import readiness, routes
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 from tests.integration.uploading import wait_until
@@ -20,15 +21,20 @@ def _ready(api: Api) -> tuple[int, str]:
 
 
 class _Silent:
-    """A store that takes the question and never answers; it counts the questions."""
+    """A store that takes the question and does not answer until it is told to; it counts the questions."""
 
     def __init__(self) -> None:
         self.asked = 0
-        self.gone = False
+        self._is_awake = asyncio.Event()
 
     async def check(self) -> None:
+        self._loop = asyncio.get_running_loop()
         self.asked += 1
-        await asyncio.Event().wait()
+        await self._is_awake.wait()
+        raise StoreUnavailable(reason="it woke up")
+
+    def answer(self) -> None:
+        self._loop.call_soon_threadsafe(self._is_awake.set)
 
 
 def test_it_is_ready_when_all_is_there_and_says_what_is_not(start_api: StartApi) -> None:
@@ -40,7 +46,16 @@ def test_it_is_ready_when_all_is_there_and_says_what_is_not(start_api: StartApi)
     assert (status, "run the migrations" in text) == (503, True)
 
 
-def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi) -> None:
+def test_a_store_that_does_not_answer_is_not_waited_for(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 0.1)
+    api = start_api()
+    api.app.state.storage = _Silent()
+    assert _ready(api) == (503, "the object store did not answer within 0.1 seconds\n")
+
+
+def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 60)
+    monkeypatch.setattr(routes, "_HOLDS_S", 3600)
     api = start_api(database_connections=2)
     store = _Silent()
     api.app.state.storage = store
@@ -50,7 +65,9 @@ def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi) -> No
         for _ in range(5):
             api.get("/projects").ok()
         assert not any(probe.done() for probe in probes)
-        assert {probe.result() for probe in probes} == {(503, "the object store did not answer within 2 seconds\n")}
+        store.answer()
+        assert len({probe.result() for probe in probes}) == 1
+        assert "it woke up" in probes[0].result()[1]
     assert store.asked == 1
 
 

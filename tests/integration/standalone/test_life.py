@@ -96,7 +96,7 @@ def test_the_store_gives_nothing_to_whoever_finds_its_other_ports(shared_instanc
 def test_down_from_elsewhere_ends_it_and_says_so_when_nothing_runs(shared_instance: Instance) -> None:
     process = shared_instance.up()
     stop_instance(DataDir(shared_instance.data_dir))
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
     assert process.returncode == 0
     assert shared_instance.processes == []
     with pytest.raises(NotRunning, match="does not run"):
@@ -117,7 +117,7 @@ def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Insta
     down = [klein, "down", "--data-dir", str(shared_instance.data_dir), "--json"]
     ended = json.loads(subprocess.run(down, check=True, capture_output=True, text=True).stdout)
     assert ended == {name: said[name] for name in ("data_dir", "pid", "parts")}
-    assert process.communicate(timeout=10) == ("", "")
+    assert process.communicate(timeout=60) == ("", "")
     again = subprocess.run(down, check=False, capture_output=True, text=True)
     assert (again.returncode, again.stdout) == (1, "")
     assert "does not run" in again.stderr
@@ -131,7 +131,7 @@ def test_down_names_no_parts_of_an_instance_that_was_killed(shared_instance: Ins
     (shared_instance.data_dir / "instance.json").write_text(json.dumps(left))
     ended = stop_instance(DataDir(shared_instance.data_dir))
     assert (ended.pid, ended.parts) == (process.pid, {})
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
 
 
 def test_down_never_signals_a_process_that_got_the_pid_since(shared_instance: Instance) -> None:
@@ -160,7 +160,7 @@ def test_every_part_that_is_killed_comes_back(shared_instance: Instance) -> None
         wait_until(partial(_runs_again, shared_instance, part, pid))
     wait_until(lambda: _answers(shared_instance))
     stop_instance(DataDir(shared_instance.data_dir))
-    said = process.communicate(timeout=10)[1]
+    said = process.communicate(timeout=60)[1]
     for part in PARTS:
         assert f"{part} has ended (killed by signal 9)" in said
         assert f"{part} was started again" in said
@@ -171,7 +171,7 @@ def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_in
     process = shared_instance.up()
     before = set(shared_instance.processes)
     process.kill()
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
     # The worker's own child has no bond to the supervisor: it is what the next start must end.
     wait_until(lambda: len(shared_instance.processes) <= 1)
     survivors = set(shared_instance.processes)
@@ -287,7 +287,7 @@ def test_a_supervisor_that_is_stopped_until_after_its_time_goes_on() -> None:
     assert process.stdout is not None
     assert process.stdout.readline() == "went on\n"
     process.terminate()
-    assert "StopAsked" in process.communicate(timeout=10)[1]
+    assert "StopAsked" in process.communicate(timeout=60)[1]
 
 
 def test_a_terminal_that_goes_ends_it_unless_nohup_said_otherwise() -> None:
@@ -297,7 +297,7 @@ def test_a_terminal_that_goes_ends_it_unless_nohup_said_otherwise() -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == ("" if ends else "went on\n")
         process.terminate()
-        assert "StopAsked" in process.communicate(timeout=10)[1]
+        assert "StopAsked" in process.communicate(timeout=60)[1]
 
 
 @pytest.mark.parametrize("failing", ["migrate", "api"])

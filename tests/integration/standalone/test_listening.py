@@ -45,7 +45,7 @@ def test_listening_opens_api_and_store_and_nothing_else(shared_instance: Instanc
     assert s3.request(public, "PUT", "/kleinkram/from-elsewhere", body=b"bytes")[0] == 200
     assert s3.request(public, "GET", "/kleinkram/from-elsewhere") == (200, b"bytes")
     stop_instance(DataDir(shared_instance.data_dir))
-    warned = process.communicate(timeout=10)[1]
+    warned = process.communicate(timeout=60)[1]
     assert warned.count("without TLS") == 1
     assert "can read passwords, tokens and recordings" in warned
 
@@ -76,7 +76,7 @@ def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, 
             told["local_url"], token, certificate=make_certificate(certificate[0].parent / "other", "127.0.0.1")[0]
         )
     stop_instance(DataDir(shared_instance.data_dir))
-    assert "without TLS" not in process.communicate(timeout=10)[1]
+    assert "without TLS" not in process.communicate(timeout=60)[1]
 
 
 def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instance: Instance) -> None:
@@ -87,7 +87,7 @@ def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instanc
         assert "answers at" in terminal.readline()
         assert "http://lab/sign-in/link#good-once" in terminal.readline()
         stop_instance(DataDir(shared_instance.data_dir))
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
 
 
 def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> None:

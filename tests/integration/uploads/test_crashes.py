@@ -74,7 +74,7 @@ def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id
 
 
 def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: Any) -> None:
-    api = start_api(part_url_s=1)
+    api = start_api()
     mission_id = api.mission(api.project()["id"])["id"]
     large, small = os.urandom(_PART + 100), os.urandom(100)
     uploads = [each["upload"] for each in begin(api, mission_id, {"large": large, "small": small})]
