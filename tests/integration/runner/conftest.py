@@ -16,8 +16,9 @@ from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.process.executor import ProcessExecutor
 from kleinkram.runner.work import Door, Ending, Executor, Work
-from tests.integration.runner import engines
+from tests.integration.runner import engines, podmen
 from tests.integration.runner.engines import Dockerd
+from tests.integration.runner.podmen import Podman
 from tests.lacking import missing, need
 
 
@@ -34,6 +35,7 @@ class Bench:
     image: str | None = None
     python: str = sys.executable
     machine: str = "127.0.0.1"
+    engine: Dockerd | None = None
     made: list[Work] = field(default_factory=list)
 
     def work(
@@ -94,17 +96,30 @@ def docker() -> Iterator[Dockerd]:
         yield made
 
 
+@pytest.fixture(scope="session")
+def podman() -> Iterator[Podman]:
+    """A Podman of the tests' own, with an image of this Python."""
+    if os.geteuid() != 0:
+        missing("a Podman of the tests' own needs root")
+    need(*podmen.PROGRAMS)
+    with engines.bridge() as (name, gateway), podmen.podman(name, gateway) as made:
+        made.load(engines.IMAGE, root=engines.python_root())
+        yield made
+
+
 def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Bench:
     """Return somewhere to run things by an executor."""
     if executor == "process":
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
-    docker: Dockerd = request.getfixturevalue("docker")
-    made = DockerExecutor(docker.engine)
+    engine: Dockerd = request.getfixturevalue(executor)
+    made = DockerExecutor(engine.engine)
     image = made.prepare(engines.IMAGE).reference
-    return Bench(made, folder, lambda: DockerExecutor(docker.engine), image, "python3", docker.gateway)
+    return Bench(made, folder, lambda: DockerExecutor(engine.engine), image, "python3", engine.gateway, engine)
 
 
-@pytest.fixture(params=["process", pytest.param("docker", marks=pytest.mark.slow)])
+@pytest.fixture(
+    params=["process", pytest.param("docker", marks=pytest.mark.slow), pytest.param("podman", marks=pytest.mark.soak)]
+)
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     """Somewhere to run things, by each executor."""
     made = bench_of(request.param, request, tmp_path)

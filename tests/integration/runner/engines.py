@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 import itertools
@@ -91,16 +92,20 @@ class Dockerd:
             ),
             *self.options,
         )
+        self.wait_until_it_answers(self.process, "dockerd")
+
+    def wait_until_it_answers(self, process: subprocess.Popen[bytes], program: str) -> None:
+        """Wait for the answers of what was started as this program."""
         until = time.monotonic() + 60
         while not self._answers():
-            assert self.process.poll() is None, (self.folder / "dockerd.log").read_text()[-3000:]
-            assert time.monotonic() < until, "dockerd does not answer"
+            assert process.poll() is None, (self.folder / f"{program}.log").read_text()[-3000:]
+            assert time.monotonic() < until, f"{program} does not answer"
             time.sleep(0.05)
 
-    def _run(self, program: str, *words: str | Path) -> subprocess.Popen[bytes]:
+    def _run(self, program: str, *words: str | Path, **settings: str) -> subprocess.Popen[bytes]:
         found = path_of(program)
         assert found is not None
-        environment = {"PATH": f"{os.environ['PATH']}:/usr/sbin", "HOME": str(self.folder)}
+        environment = {"PATH": f"{os.environ['PATH']}:/usr/sbin", "HOME": str(self.folder), **settings}
         with (self.folder / f"{program}.log").open("ab") as log:
             return subprocess.Popen([found, *words], stdout=log, stderr=log, env=environment, start_new_session=True)
 
@@ -152,6 +157,7 @@ class Dockerd:
         self.docker("load", given=root_of({**{key: text.encode() for key, text in files.items()}, "layer.tar": root}))
 
 
+@functools.cache
 def python_root() -> bytes:
     """Return a tar of a root with this Python and its libraries, and nothing else but the folders of runs."""
     libraries = Path(sysconfig.get_path("stdlib"))

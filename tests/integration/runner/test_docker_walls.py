@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import base64
 import json
+import resource
 from pathlib import Path
 
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker import cgroups
+from kleinkram.runner.docker import cgroups, first
 from kleinkram.runner.docker.container import describe
 from kleinkram.runner.docker.images import credentials_for, is_allowed, read_name
+from kleinkram.runner.docker.log import Piece
 from kleinkram.runner.work import Door, Work
 
 
@@ -39,6 +41,32 @@ def test_no_run_is_given_more_than_it_needs(tmp_path: Path, network: Network) ->
     assert (host["Memory"], host["MemorySwap"]) == (10**9, 10**9)
     assert not {"PidMode", "Binds", "Devices", "CapAdd", "GroupAdd", "VolumesFrom"} & set(host)
     assert "docker.sock" not in json.dumps(host)
+
+
+def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: Path) -> None:
+    limits = host_of(work_of(tmp_path, disk_bytes=10**9))["Ulimits"]
+    assert isinstance(limits, list)
+    hard = {each["Name"]: each["Hard"] for each in limits}
+    assert hard["core"] == 0
+    assert 10**9 < hard["fsize"] < 1.1 * 10**9
+    for name, kind, most in (("nofile", resource.RLIMIT_NOFILE, 2**16), ("nproc", resource.RLIMIT_NPROC, 2**15)):
+        mine = resource.getrlimit(kind)[1]
+        assert hard[name] == (most if mine == resource.RLIM_INFINITY else min(mine, most))
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("[FATAL tini (7)] exec /usr/bin/odd failed: No such file or directory\n", "/usr/bin/odd: No such file"),
+        ("ERROR (catatonit:2): failed to exec pid1: Permission denied\n", "/usr/bin/odd: Permission denied"),
+        ("Traceback (most recent call last):\n", None),
+        ("", None),
+    ],
+)
+def test_what_first_processes_say_of_a_command_that_is_not_there(said: str, told: str | None) -> None:
+    written = [[Piece(2, said[:9].encode()), Piece(2, said[9:].encode())]]
+    found = first.no_command(written, ["/usr/bin/odd", "-v"])
+    assert found is None if told is None else str(found).startswith(told)
 
 
 def test_volumes_of_an_image_are_counted_with_tmp(tmp_path: Path) -> None:
@@ -126,3 +154,16 @@ def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> Non
     first = {"memory": "/one", "cpuacct": "/one", "blkio": "/one", "": "/"}
     assert cgroups.usage_of(first, tmp_path) == cgroups.usage_of({"": "/one"}, tmp_path) == (1.5, 50_000, 11, 22)
     assert cgroups.usage_of({"": "/gone"}, tmp_path) is None
+
+
+@pytest.mark.parametrize(("ended", "is_told"), [(0, False), (2, True)])
+def test_ended_for_memory_is_read_of_both_versions_of_control_groups(
+    tmp_path: Path, ended: int, *, is_told: bool
+) -> None:
+    (tmp_path / "memory" / "one").mkdir(parents=True)
+    (tmp_path / "memory" / "one" / "memory.oom_control").write_text(f"oom_kill_disable 0\noom_kill {ended}\n")
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "memory.events").write_text(f"max 3\noom {ended}\noom_kill {ended}\n")
+    for groups in ({"memory": "/one", "": "/"}, {"": "/two"}):
+        assert cgroups.ended_for_memory(groups, tmp_path) is is_told
+    assert not cgroups.ended_for_memory({"": "/gone"}, tmp_path)

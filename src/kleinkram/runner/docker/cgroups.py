@@ -37,6 +37,18 @@ def usage_of(groups: dict[str, str], root: Path = _ROOT) -> Used | None:
         return None
 
 
+def ended_for_memory(groups: dict[str, str], root: Path = _ROOT) -> bool:
+    """Whether the kernel has ended a process of control groups for its memory; False where they are gone."""
+    try:
+        if "memory" in groups:
+            told = root / "memory" / groups["memory"].lstrip("/") / "memory.oom_control"
+        else:
+            told = root / groups[""].lstrip("/") / "memory.events"
+        return _table(told.read_text())["oom_kill"] > 0
+    except (OSError, KeyError):
+        return False
+
+
 def _usage_1(groups: dict[str, str], root: Path) -> Used:
     memory, cpu, disk = (root / name / groups[name].lstrip("/") for name in ("memory", "cpuacct", "blkio"))
     cached = _table((memory / "memory.stat").read_text())["total_inactive_file"]

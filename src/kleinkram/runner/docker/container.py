@@ -1,5 +1,6 @@
 """The container of a run, as engines are told to make it: what a run may have, and nothing else."""
 
+import resource
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,10 @@ from kleinkram.runner.work import Work
 RUN_LABEL = "kleinkram.run"
 RUNNER_LABEL = "kleinkram.runner"
 _PROCESSES = 1024
+# Of its user, who is the runner itself where that is not root: `_PROCESSES` is what bounds a run.
+_PROCESSES_OF_USER = 2**15
+# Many programs, all of ROS 1 among them, go through as many as they may have open, at each start of another program.
+_OPEN_FILES = 2**16
 _SHARED_MEMORY_BYTES = 64 * 2**20
 # A file may be so much larger than what all may be: else nobody could tell that it was the disk.
 _FILE_BEYOND_DISK_BYTES = 64 * 2**20
@@ -50,11 +55,21 @@ def _bounds(work: Work) -> dict[str, object]:
         "Ulimits": [
             {"Name": "core", "Soft": 0, "Hard": 0},
             {"Name": "fsize", "Soft": largest, "Hard": largest},
+            # Left to Podman these would be a million each, which it may not give where it lacks some of root's rights.
+            _limit("nofile", resource.RLIMIT_NOFILE, _OPEN_FILES),
+            _limit("nproc", resource.RLIMIT_NPROC, _PROCESSES_OF_USER),
         ],
         "DeviceRequests": gpus,
         "OomScoreAdj": 1000,
         "LogConfig": _LOG,
     }
+
+
+def _limit(name: str, kind: int, wanted: int) -> dict[str, object]:
+    """Return a bound of the kernel, no higher than this runner's own."""
+    mine = resource.getrlimit(kind)[1]
+    given = wanted if mine == resource.RLIM_INFINITY else min(wanted, mine)
+    return {"Name": name, "Soft": given, "Hard": given}
 
 
 def _walls(work: Work) -> dict[str, object]:

@@ -21,6 +21,9 @@ from kleinkram.runner.docker.log import Piece
 _TIMEOUT_S = 60.0
 # A registry that does not answer: engines themselves give up sooner.
 _PULL_TIMEOUT_S = 300.0
+# What engines give to a container whose end they did not see.
+UNSEEN = 255
+_NEVER = "0001-"
 _SOCKETS = ("/var/run/docker.sock", "/run/podman/podman.sock")
 
 
@@ -39,7 +42,7 @@ class Refused(Exception):
 class Facts(NamedTuple):
     """What an engine says of itself. `architecture` as images say it: amd64, arm64.
 
-    `ends_with_containers`: when it is restarted, containers are ended.
+    `has_gpus`: to be had by device request. `ends_with_containers`: when it is restarted, containers are ended.
     """
 
     architecture: str
@@ -84,9 +87,20 @@ class Engine:
 
     def facts(self) -> Facts:
         """Return what it says of itself."""
-        version, info = self._ask("GET", "/version"), self._ask("GET", "/info")
+        architecture = self._ask("GET", "/version")["Arch"]
+        if self._is_podman():
+            # It passes over requests for devices, and its containers have no daemon to end with.
+            return Facts(architecture, has_gpus=False, ends_with_containers=False)
+        info = self._ask("GET", "/info")
         ends = info.get("LiveRestoreEnabled") is False
-        return Facts(version["Arch"], "nvidia" in (info.get("Runtimes") or {}), ends)
+        return Facts(architecture, "nvidia" in (info.get("Runtimes") or {}), ends)
+
+    def _is_podman(self) -> bool:
+        try:
+            with self._answer("GET", "/libpod/_ping"):
+                return True
+        except Refused:
+            return False
 
     def find_image(self, name: str) -> Image | None:
         """Return an image that is here, by name, digest or id."""
@@ -142,15 +156,24 @@ class Engine:
                 return None
             raise
         state = said["State"]
+        status, exit_code = state["Status"], state["ExitCode"]
+        # A Podman that went down with its machine says later that it never ran, but when it began.
+        if not state["Pid"] and not state["StartedAt"].startswith(_NEVER) and state["FinishedAt"].startswith(_NEVER):
+            status, exit_code = "exited", UNSEEN
         killed, error_said = bool(state["OOMKilled"]), state.get("Error") or ""
-        return Container(said["Id"], state["Status"], state["Pid"], state["ExitCode"], killed, error_said)
+        return Container(said["Id"], status, state["Pid"], exit_code, killed, error_said)
 
     def was_told_to_kill(self, name: str) -> bool:
-        """Whether anybody had a container sent a signal, as far as it remembers."""
-        filters = json.dumps({"container": [name], "event": ["kill"]})
-        query = {"since": 1, "until": f"{time.time():.6f}", "filters": filters}
-        with self._answer("GET", f"/events?{urlencode(query)}") as answer:
-            return bool(answer.read().strip())
+        """Whether anybody had a container stopped or sent a signal, as far as it remembers."""
+        # Podman loses what it has when it is asked for events until now; Docker goes on for ever when it is not.
+        end = {"stream": "false"} if self._is_podman() else {"until": f"{time.time():.6f}"}
+        filters = json.dumps({"container": [name], "event": ["kill", "stop"]})
+        try:
+            with self._answer("GET", f"/events?{urlencode({'since': 1, **end, 'filters': filters})}") as answer:
+                return bool(answer.read().strip())
+        except Refused:
+            # A Podman that is told to remember nothing.
+            return False
 
     def remove(self, name: str) -> None:
         """Kill a container if it runs, and remove it with the volumes that nobody named."""

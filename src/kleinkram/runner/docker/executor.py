@@ -30,10 +30,11 @@ class DockerExecutor:
     ) -> None:
         self._engine = engine
         self._runner = runner
-        self._images = Images(engine, pull=pull, allowed=allowed)
         self._wardens = Wardens(warden.__name__, outlived=True)
         self._is_root = os.geteuid() == 0
-        self._has_gpus = engine.facts().has_gpus
+        facts = engine.facts()
+        self._has_gpus = facts.has_gpus
+        self._images = Images(engine, facts.architecture, pull=pull, allowed=allowed)
 
     @property
     def abilities(self) -> Abilities:

@@ -57,10 +57,11 @@ def is_allowed(name: Name, allowed: Sequence[str]) -> bool:
 
 
 class Images:
-    """The images that a runner may use. `allowed`: None for all."""
+    """The images of one architecture that a runner may use. `allowed`: None for all."""
 
-    def __init__(self, engine: Engine, *, pull: Pull, allowed: Sequence[str] | None) -> None:
+    def __init__(self, engine: Engine, architecture: str, *, pull: Pull, allowed: Sequence[str] | None) -> None:
         self._engine = engine
+        self._architecture = architecture
         self._pull = pull
         self._allowed = allowed
 
@@ -75,23 +76,18 @@ class Images:
             choices = ", ".join(self._allowed) or "none"
             raise _unavailable(f"This runner may not use {name.place}; it may use images of: {choices}.")
         try:
-            architecture = self._engine.facts().architecture
             found = self._find(text, name)
             is_wanted = found is None or (self._pull is Pull.always and not name.digest)
             if is_wanted and self._pull is not Pull.never:
-                self._fetch(text, name, architecture)
+                self._fetch(text, name)
                 found = self._find(text, name)
         except EngineAway as error:
             raise _unavailable(f"{error}.") from error
         if found is None:
             raise _unavailable(f"The image {text} is not on this runner, and it fetches none.")
-        if found.architecture != architecture:
-            raise CannotStart(
-                Ending(
-                    EndReason.not_possible,
-                    f"The image {text} is for {found.architecture}; this runner is {architecture}.",
-                )
-            )
+        if found.architecture != self._architecture:
+            message = f"The image {text} is for {found.architecture}; this runner is {self._architecture}."
+            raise CannotStart(Ending(EndReason.not_possible, message))
         return ImagePinned(reference=found.id, digest=_digest_of(found, name))
 
     def _find(self, text: str, name: Name) -> Image | None:
@@ -101,12 +97,12 @@ class Images:
             return self._engine.find_image(name.digest)
         return found
 
-    def _fetch(self, text: str, name: Name, architecture: str) -> None:
+    def _fetch(self, text: str, name: Name) -> None:
         registry = name.place.partition("/")[0]
         credentials = credentials_for(registry)
         try:
             tag = name.digest or name.tag
-            self._engine.pull(name.place, tag, architecture=architecture, credentials=credentials)
+            self._engine.pull(name.place, tag, architecture=self._architecture, credentials=credentials)
         except Refused as error:
             raise _unavailable(f"The image {text} cannot be had from {registry}: {error}.") from error
 

@@ -10,7 +10,7 @@ Imports nothing but Python's own library, since runs wait for it.
 import contextlib
 import json
 import os
-import re
+import select
 import signal
 import sys
 import threading
@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kleinkram.runner import doors, ward
-from kleinkram.runner.docker import cgroups
-from kleinkram.runner.docker.engine import Container, Engine, EngineAway, Refused
+from kleinkram.runner.docker import cgroups, first
+from kleinkram.runner.docker.engine import UNSEEN, Container, Engine, EngineAway, Refused
 from kleinkram.runner.docker.log import Log, Piece
 
 _T = TypeVar("_T")
@@ -41,10 +41,6 @@ _KILLED = 128 + signal.SIGKILL
 _TOLD_TO_BE_OVER_S = 5.0
 # A container that ends closes its outputs first.
 _SEEN_TO_BE_OVER_S = 1.0
-# What engines give to a container whose end they did not see.
-_UNSEEN = 255
-# The words of those that run as first process, Docker's tini and Podman's catatonit, for a command that is not there.
-_NO_COMMAND = re.compile(r"\[FATAL tini[^\]]*\] exec (.+) failed: (.+)|ERROR \(catatonit:\d+\): (failed to exec .+)")
 _LOST = ("lost", "Its container was ended from outside: by a restart of the engine or of the machine, or by hand.")
 
 
@@ -59,7 +55,7 @@ class Warden:
         self._ways = [doors.Way(**door) for door in self._work["doors"]]
         self._pid, self._began = 0, 0
         self._is_asked = False
-        self._was_alone = self._was_away = False
+        self._was_alone = self._was_away = self._ended_for_memory = False
         self._why: tuple[str, str] | None = None
         self._kill_at: float | None = None
         self._disk_at = self._told_at = self._held_at = 0.0
@@ -101,6 +97,8 @@ class Warden:
             found = self._find()
         else:
             self._was_alone = True
+            if found.status == "exited":
+                self._over.set()
         if found is not None and found.pid:
             self._meet(found)
         return written
@@ -110,6 +108,7 @@ class Warden:
         log = threading.Thread(target=self._keep_log, args=(written,), daemon=True)
         log.start()
         threading.Thread(target=self._await_end, daemon=True).start()
+        threading.Thread(target=self._await_death, daemon=True).start()
         if self._runs_command():
             os.write(1, ward.STARTED)
         os.close(1)
@@ -127,11 +126,16 @@ class Warden:
         with contextlib.suppress(OSError):
             self._groups = cgroups.groups_of(found.pid)
         # An engine's number may be that of another process here, were the engine not of this machine.
-        if self._began and not any(found.id in path for path in self._groups.values()):
+        if self._began and not any(found.id in path for path in self._groups.values()) and self._is(found.pid):
             raise OSError("the engine's processes are not this machine's")
         self._pid = found.pid
-        if self._ways:
+        if not self._ways:
+            return
+        try:
             doors.carry(doors.listen_in(found.pid, self._ways), self._ways)
+        except OSError:
+            if self._lives():
+                raise
 
     def _runs_command(self) -> bool:
         """Wait until the container's first process has become the command, and return whether it did."""
@@ -152,11 +156,13 @@ class Warden:
 
     def _no_command(self, found: Container | None) -> str | None:
         """Return what keeps the command from running, if its container ended by that."""
-        if found is None or found.exit_code not in (126, 127):
+        if found is None or found.exit_code not in first.CODES:
             return None
-        pieces = (piece for pieces in self._engine.log(self._name, follow=False) for piece in pieces)
-        said = _NO_COMMAND.search(b"".join(piece.data for piece in pieces).decode(errors="replace"))
-        return None if said is None else f"{said[1]}: {said[2]}" if said[1] else said[3]
+        command = self._work["container"]["Cmd"]
+        try:
+            return self._insist(lambda: first.no_command(self._engine.log(self._name, follow=False), command))
+        except Refused:
+            return None
 
     def _look(self) -> None:
         now = time.monotonic()
@@ -184,7 +190,11 @@ class Warden:
         return ward.now_s() - self._began / _TICKS_PER_S if self._began else 0.0
 
     def _lives(self) -> bool:
-        return self._began > 0 and ward.began(self._pid) == self._began
+        return self._is(self._pid)
+
+    def _is(self, pid: int) -> bool:
+        """Whether a process that is not over is the container's first one."""
+        return self._began > 0 and ward.began(pid) == self._began
 
     def _look_at_disk(self) -> None:
         if ward.written_bytes(self._folder) > self._work["disk_bytes"]:
@@ -233,6 +243,14 @@ class Warden:
                 time.sleep(_RETRY_EVERY_S)
                 continue
         self._over.set()
+
+    def _await_death(self) -> None:
+        """See, once the first process is over, what the kernel tells of it: a moment later that is gone."""
+        with contextlib.suppress(OSError):
+            death = os.pidfd_open(self._pid)
+            select.select([death], [], [])
+            os.close(death)
+        self._ended_for_memory = cgroups.ended_for_memory(self._groups)
 
     def _find(self) -> Container | None:
         """Return the container, once the engine answers."""
@@ -295,13 +313,15 @@ class Warden:
 
     def _was_cut_off(self, found: Container) -> bool:
         """Whether the engine ended it, for its own restart or because somebody said so: whatever its exit code then."""
-        if self._was_alone and found.exit_code in (_KILLED, _UNSEEN):
+        if self._was_alone and found.exit_code in (_KILLED, UNSEEN):
             return True
         is_told = self._insist(lambda: self._engine.was_told_to_kill(self._name))
         return is_told or (self._was_away and self._insist(self._engine.facts).ends_with_containers)
 
     def _was_out_of_memory(self, found: Container | None) -> bool:
-        """Whether the kernel ended it for its memory; engines may hear of that a moment after the end."""
+        """Whether the kernel ended it for its memory; engines hear of that a moment after the end, or not at all."""
+        if self._ended_for_memory:
+            return True
         until = time.monotonic() + _OUT_OF_MEMORY_TOLD_S
         while found is not None and not found.was_out_of_memory:
             if found.exit_code != _KILLED or self._was_alone or time.monotonic() > until:
