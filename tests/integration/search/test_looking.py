@@ -78,4 +78,4 @@ def test_a_list_asks_as_often_for_many_rows_as_for_one(full: Api, path: str, que
         with full.statements() as statements:
             full.get(path, asked).ok()
         counts.append(len(statements))
-    assert counts[0] == counts[1] <= 9
+    assert counts[0] == counts[1] <= 10

@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, Row, Select, bindparam, exists, func, or_,
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.looked import NOTHING_LOOKED_UP, Looked
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
 
@@ -66,9 +67,7 @@ class Actor:
     operation: str | None = None
     # All missions that they see, where that was asked and these are few.
     few_mission_ids: frozenset[uuid.UUID] | None = None
-    # Of the words of their search, those by which its files are looked up; or that it finds very many.
-    rare_words: frozenset[str] = frozenset()
-    finds_many: bool = False
+    looked: Looked = NOTHING_LOOKED_UP
 
     @property
     def ref(self) -> PersonRef | None:

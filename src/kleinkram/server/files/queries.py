@@ -173,7 +173,7 @@ def file_order(actor: Actor, sort: FileSort) -> Order:
         return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
     # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen, or few
     # files found: the database would walk it past nearly all files to find these.
-    first = _FIRST if actor.few_mission_ids is None and not actor.rare_words else _FIRST + 1
+    first = _FIRST if actor.few_mission_ids is None and not actor.looked.finds_few else _FIRST + 1
     unknown = literal(first if descending else _LAST, BigInteger)
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,

@@ -95,7 +95,7 @@ async def _first_missions(
 
     None where these do not fill it, or where the list is short.
     """
-    if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.rare_words:
+    if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.looked.finds_few:
         return None
     after = place_of(page.cursor, order)[:2] if page.cursor else []
     ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)

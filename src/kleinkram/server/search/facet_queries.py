@@ -63,7 +63,8 @@ def facet_rows(
 
     def found_by(each: FileFilter, name: str) -> CTE:
         is_drawn = each in many
-        return _found(replace(actor, finds_many=is_drawn), each, name, most, is_drawn=is_drawn)
+        as_drawn = replace(actor, looked=replace(actor.looked, finds_many=is_drawn))
+        return _found(as_drawn, each, name, most, is_drawn=is_drawn)
 
     base = found_by(matching, "found")
     looked_at = _row(literal(""), literal(""), func.count(), literal(1, BigInteger)).select_from(base)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import psycopg
-from sqlalchemy import Row, func, select
+from sqlalchemy import Row, func
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.files import FileFilter
@@ -34,6 +34,9 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
     matching = parse(text)
     each = variants(actor, matching)
     actor, outlook = await look_ahead(db, actor, *each)
+    if actor.looked.finds_nothing:
+        chosen = list(_facets(matching, [], with_metadata=sees_whole_missions(actor)))
+        return FacetsRead(query=render(matching), file_count=0, is_whole=True, facets=chosen)
     many = [] if outlook is None else [found for number, found in enumerate(each) if outlook.finds_many(number)]
     for most, milliseconds in _ATTEMPTS:
         rows = await _within(db, actor, matching, many, most=most, milliseconds=milliseconds)
@@ -41,12 +44,7 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
             looked_at = next(row.file_count for row in rows if not row.facet)
             facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
             is_whole = looked_at < most and matching not in many
-            return FacetsRead(
-                query=render(matching),
-                file_count=looked_at,
-                is_whole=is_whole,
-                facets=facets,
-            )
+            return FacetsRead(query=render(matching), file_count=looked_at, is_whole=is_whole, facets=facets)
     return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
 
 
@@ -62,8 +60,8 @@ async def _within(
     """Return the rows of all facets, or None where that takes too long."""
     try:
         async with db.begin_nested():
-            await db.execute(room_to_count())
-            await db.execute(select(func.set_config("statement_timeout", str(milliseconds), True)))
+            timeout = func.set_config("statement_timeout", str(milliseconds), True)
+            await db.execute(room_to_count().add_columns(timeout))
             return (await db.execute(facet_rows(actor, matching, most=most, many=many))).all()
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.QueryCanceled):

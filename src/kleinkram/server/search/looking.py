@@ -4,7 +4,6 @@ Ids are random, so the first of them are files drawn by lot, and an index reads 
 says where to begin and, where very many are found, about how many; nothing of rights: every statement asks for those.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,9 +13,11 @@ from sqlalchemy import CTE, and_, func, select, true
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.looked import Looked
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.db import Connection
-from kleinkram.server.search.matching import file_conditions, word_condition
+from kleinkram.server.search.matching import file_conditions, narrow_files
+from kleinkram.server.search.words import file_holds, has_index, look_up
 from kleinkram.server.tables import blob, file, mission
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a quarter.
@@ -25,8 +26,8 @@ DRAWN, MANY = 1000, 20
 _MANY_TOGETHER = 4
 _MISSIONS_DRAWN = 100
 _IDS = 2**128
-# A word without three letters or digits on end has no trigram to be looked up by.
-_LOOKED_UP = re.compile(r"[^\W_]{3}")
+# Files that a search finds and that are named in what it asks besides.
+_FEW = 50_000
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,13 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     if actor.few_mission_ids is not None:
         return actor, None
     words = phrases(filters[0].text or "")
-    drawn = drawn_files()
+    actor = replace(actor, looked=Looked(await look_up(db, actor, words)))
     conditions = [and_(true(), *file_conditions(actor, each)) for each in filters]
+    if actor.looked.finds_nothing:
+        return actor, Outlook([0] * len(filters), 0, 0)
+    drawn = drawn_files()
     timed = and_(conditions[0], blob.c.start_ns.is_not(None))
-    conditions += [word_condition(actor, word) for word in words]
+    conditions += [file_holds(actor, word) for word in words]
     seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
     counted = seen.with_only_columns(
         *(func.count().filter(each).label(f"hits_{number}") for number, each in enumerate(conditions)),
@@ -79,15 +83,28 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     row = (await db.execute(counted)).one()
     hits, held = list(row[: len(filters)]), dict(zip(words, row[len(filters) :], strict=False))
     files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
-    rarest = min(filter(_LOOKED_UP.search, words), key=lambda word: held[word], default=None)
+    rarest = min(filter(has_index, words), key=lambda word: held[word], default=None)
     is_led = rarest is None or held[rarest] < MANY
     outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER)
     # Files without a time come last: where nearly all are such, a walk would meet all others first.
     if outlook.finds_many() and row.timed < _MANY_TOGETHER:
         outlook = replace(outlook, many=DRAWN + 1)
     if outlook.finds_many():
-        return replace(actor, finds_many=True), outlook
-    return (actor if rarest is None else replace(actor, rare_words=frozenset({rarest}))), outlook
+        return replace(actor, looked=replace(actor.looked, finds_many=True)), outlook
+    return replace(actor, looked=replace(actor.looked, led_by=rarest)), outlook
+
+
+async def find_few(db: Connection, actor: Actor, matching: FileFilter) -> Actor:
+    """Return who asks, knowing all files that a filter finds, where these are few: then they are looked for once.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    found = narrow_files(actor, visible_files(actor), matching).with_only_columns(file.c.id, maintain_column_froms=True)
+    # Planned as if all were wanted: with a limit of its own, the database would count on meeting that many soon.
+    every = found.cte("found").prefix_with("MATERIALIZED")
+    file_ids = (await db.execute(select(every.c.id).limit(_FEW + 1))).scalars().all()
+    return actor if len(file_ids) > _FEW else replace(actor, looked=replace(actor.looked, file_ids=tuple(file_ids)))
 
 
 def drawn_missions() -> CTE:

@@ -1,7 +1,6 @@
 """What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
 
 import datetime
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 from unicodedata import normalize
@@ -9,14 +8,11 @@ from unicodedata import normalize
 from sqlalchemy import (
     BigInteger,
     ColumnElement,
-    CompoundSelect,
     Integer,
     Numeric,
     Select,
     Text,
     and_,
-    any_,
-    bindparam,
     case,
     cast,
     func,
@@ -27,7 +23,7 @@ from sqlalchemy import (
     type_coerce,
     union_all,
 )
-from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
+from sqlalchemy.dialects.postgresql import ARRAY
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
@@ -38,9 +34,11 @@ from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.dates import nanoseconds
+from kleinkram.server.db import among
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.where import condition
-from kleinkram.server.tables import blob, file, mission, project, topic, topic_name
+from kleinkram.server.search.words import file_holds, mission_holds
+from kleinkram.server.tables import blob, file, mission, project, topic
 
 Conditions = list[ColumnElement[bool]]
 # What a filter of files says that can be said of a mission itself.
@@ -52,8 +50,6 @@ _SAID_OF_MISSIONS = frozenset(
 )
 # Where files stand in the index of times that have none.
 _NEVER = -(2**63)
-# What JSON writes otherwise than it is.
-_ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 _UNSEEN = "what you came with does not show metadata of missions"
 
 
@@ -78,7 +74,7 @@ def _conditions(actor: Actor, matching: MissionFilter) -> Conditions:
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, lambda word: _mission_found(actor, word))
+    conditions += _words(matching.text, lambda word: mission_holds(actor, word))
     if matching.topic or matching.message_type:
         conditions.append(_mission_has_topic([shown_files(actor), *_topic_conditions(matching)]))
     if matching.completed is not None:
@@ -117,7 +113,7 @@ def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter)
 
 
 def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement[bool]:
-    if not actor.finds_many:
+    if not actor.looked.finds_many:
         files = narrow_files(actor, visible_files(actor), matching)
         return files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
     # Most missions have some: one is soon met. The mission around it is visible, so only its files are asked about.
@@ -137,21 +133,14 @@ def words_in(column: ColumnElement[str], matching: FileFilter) -> ColumnElement[
     return sum(held, literal(0, Integer))
 
 
-def word_condition(actor: Actor, word: str) -> ColumnElement[bool]:
-    """Return the condition that a file holds a word: in path or labels, topics, its mission or project."""
-    if word in actor.rare_words:
-        return file.c.id.in_(_files_holding(actor, word))
-    in_mission = _mission_holds if sees_whole_missions(actor) else _mission_is_named
-    # The cheapest to look at first.
-    return or_(*_path_or_label_holds(word), in_mission(word), _blob_has_topic(_topic_holds(word)))
-
-
 def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     """Return what must hold of `file`, `mission`, `project` and `blob` for a filter of files.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
+    if actor.looked.file_ids is not None:
+        return [among(file.c.id, actor.looked.file_ids)]
     _refuse_metadata(actor, matching)
     conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _begun(matching)
     conditions += _bytes(matching)
@@ -166,7 +155,7 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, lambda word: word_condition(actor, word))
+    conditions += _words(matching.text, lambda word: file_holds(actor, word))
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return conditions + [_fails(file_conditions(actor, parse_term(term))) for term in matching.without]
@@ -304,58 +293,5 @@ def _project_is_named(word: str) -> ColumnElement[bool]:
     return key_holds_word(project.c.name_key, word)
 
 
-def _mission_is_named(word: str) -> ColumnElement[bool]:
-    return or_(key_holds_word(mission.c.name_key, word), key_holds_word(project.c.name_key, word))
-
-
 def _project_holds(word: str) -> ColumnElement[bool]:
     return or_(_project_is_named(word), holds_word(project.c.description, word))
-
-
-def _mission_holds(word: str) -> ColumnElement[bool]:
-    return or_(_mission_is_named(word), _mission_says(word))
-
-
-def _mission_found(actor: Actor, word: str) -> ColumnElement[bool]:
-    # All of it said of the mission's own columns, so that their indexes can be asked together.
-    named = select(project.c.id).where(key_holds_word(project.c.name_key, word)).correlate(None)
-    in_project = mission.c.project_id == any_(func.array(named.scalar_subquery()))
-    is_named = or_(key_holds_word(mission.c.name_key, word), in_project)
-    return or_(is_named, _mission_says(word)) if sees_whole_missions(actor) else is_named
-
-
-def _mission_says(word: str) -> ColumnElement[bool]:
-    values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
-    each = values.table_valued("value").render_derived()
-    as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
-    scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
-    in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
-    if not _ESCAPED_IN_JSON.search(word):
-        # The whole as text has an index, and is quickly looked through; but it holds the names of fields too.
-        in_values = and_(holds_word(cast(mission.c.metadata, Text), word), in_values)
-    return or_(holds_word(mission.c.notes, word), in_values)
-
-
-def _path_or_label_holds(word: str) -> Conditions:
-    return [key_holds_word(file.c.path_key, word), holds_word(func.joined(file.c.labels), word)]
-
-
-def _topic_holds(word: str) -> ColumnElement[bool]:
-    # Of all topics there are few names.
-    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, word)).correlate(None)
-    return topic.c.name == any_(func.array(named.scalar_subquery()))
-
-
-def _files_holding(actor: Actor, word: str) -> CompoundSelect[Any]:
-    """Return the ids of all files that hold a word, each place looked up in an index of its own."""
-    by_mission = select(file.c.id).join(mission, mission.c.id == file.c.mission_id)
-    by_project = by_mission.join(project, project.c.id == mission.c.project_id)
-    in_mission = key_holds_word(mission.c.name_key, word)
-    if sees_whole_missions(actor):
-        in_mission = or_(in_mission, _mission_says(word))
-    found = [select(file.c.id).where(each) for each in _path_or_label_holds(word)]
-    found += [by_mission.where(in_mission), by_project.where(key_holds_word(project.c.name_key, word))]
-    # Asked with IN, the database knows that these are few names.
-    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, word)).correlate(None)
-    found += [select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id).where(topic.c.name.in_(named))]
-    return union_all(*(each.correlate(None) for each in found))

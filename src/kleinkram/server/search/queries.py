@@ -31,12 +31,12 @@ def room_to_count() -> Select[Any]:
     return select(func.set_config("work_mem", _MEMORY, True))
 
 
-def walking(is_on: bool) -> Select[Any]:
-    """Return the statement that has lists walked in their order, or has that end, until the transaction ends.
+def walking() -> Select[Any]:
+    """Return the statement that has lists walked in their order, until the transaction ends.
 
     Of very many that match, the first are soon met so; of words together the database expects too few for that.
     """
-    return select(func.set_config("enable_sort", "off" if is_on else "on", True))
+    return select(func.set_config("enable_sort", "off", True))
 
 
 def topics_found(actor: Actor, matching: FileFilter, *, limit: int, drawn: bool) -> Select[Any]:

@@ -1,8 +1,13 @@
 """What is asked across missions and files."""
 
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Row
+
 from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.files import FileFilter, FileSort, TopicRead
-from kleinkram.contract.missions import MissionFilter, MissionSort
+from kleinkram.contract.files import FileFilter, FileRead, FileSort, TopicRead
+from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.paging import Page
 from kleinkram.contract.query import parse, render
 from kleinkram.contract.searching import SearchRead, TopicFound
@@ -14,11 +19,12 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.search import queries
-from kleinkram.server.search.looking import Outlook, look_ahead
+from kleinkram.server.search.looking import Outlook, find_few, look_ahead
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000
+_Found = tuple[Page[MissionRead], Page[FileRead], Page[TopicFound]]
 
 
 async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, limit: int) -> SearchRead:
@@ -31,34 +37,64 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
     """
     matching = parse(text)
     actor, outlook = await look_ahead(db, actor, matching)
-    estimate = outlook.estimate() if outlook is not None and outlook.finds_many() else None
-    page = PageRequest(limit, count=estimate is None)
-    if estimate is not None:
-        await db.execute(queries.walking(True))
-    found_missions = await missions.list_missions(
-        db, actor, matching=MissionFilter(), found=matching, sort=MissionSort.start_desc, page=page
-    )
-    found_files = await files.list_files(db, actor, matching=matching, sort=sort, page=page)
-    if estimate is not None:
-        await db.execute(queries.walking(False))
-        found_missions = found_missions.model_copy(update={"total": await missions.estimate_found(db, actor, matching)})
-        found_files = found_files.model_copy(update={"total": estimate})
+    if actor.looked.finds_nothing:
+        empty: Page[Any] = Page(items=[], total=0)
+        return SearchRead(
+            query=render(matching), filter=matching, missions=empty, files=empty, topics=empty, is_whole=True
+        )
+    is_whole = outlook is None or not outlook.finds_many()
+    if outlook is None or is_whole:
+        found = await _counted(db, actor, matching, sort, limit)
+    else:
+        found = await _estimated(db, actor, matching, sort, limit, outlook)
+    missions_found, files_found, topics_found = found
     return SearchRead(
         query=render(matching),
         filter=matching,
-        missions=found_missions,
-        files=found_files,
-        topics=await _topics_found(db, actor, matching, limit, outlook if estimate is not None else None),
-        is_whole=estimate is None,
+        missions=missions_found,
+        files=files_found,
+        topics=topics_found,
+        is_whole=is_whole,
     )
 
 
-async def _topics_found(
-    db: Connection, actor: Actor, matching: FileFilter, limit: int, outlook: Outlook | None
-) -> Page[TopicFound]:
+async def _counted(db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int) -> _Found:
+    """Look for all that there is. Where it is little, it is looked for once, and then read by its ids."""
+    if matching != FileFilter():
+        actor = await find_few(db, actor, matching)
+    file_ids = actor.looked.file_ids
+    missions_found = await _missions_found(db, actor, matching, PageRequest(limit, count=True))
+    page = PageRequest(limit, count=file_ids is None)
+    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page)
     await db.execute(queries.room_to_count())
-    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, drawn=outlook is not None))).all()
-    times = outlook.files / outlook.drawn if outlook is not None else 1
+    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, drawn=False))).all()
+    total = files_found.total if file_ids is None else len(file_ids)
+    return missions_found, files_found.model_copy(update={"total": total}), _topics_of(rows)
+
+
+async def _estimated(
+    db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, outlook: Outlook
+) -> _Found:
+    """Look for the first of very many; how many there are, and their topics, as seen from what was drawn by lot."""
+    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, drawn=True))).all()
+    total = await missions.estimate_found(db, actor, matching)
+    # The last that is done in this transaction.
+    await db.execute(queries.walking())
+    missions_found = await _missions_found(db, actor, matching, PageRequest(limit))
+    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=PageRequest(limit))
+    return (
+        missions_found.model_copy(update={"total": total}),
+        files_found.model_copy(update={"total": outlook.estimate()}),
+        _topics_of(rows, times=outlook.files / outlook.drawn),
+    )
+
+
+async def _missions_found(db: Connection, actor: Actor, matching: FileFilter, page: PageRequest) -> Page[MissionRead]:
+    everywhere, latest = MissionFilter(), MissionSort.start_desc
+    return await missions.list_missions(db, actor, matching=everywhere, found=matching, sort=latest, page=page)
+
+
+def _topics_of(rows: Sequence[Row[Any]], times: float = 1) -> Page[TopicFound]:
     return Page(items=[queries.to_topic_found(row, times) for row in rows], total=rows[0].total if rows else 0)
 
 

@@ -1,0 +1,188 @@
+"""What it means that a file or a mission holds a word, and where the words of a search are said.
+
+Each place has an index of its own: a word's places are looked up once, before the search, and where they are few they
+are named. What is left to be asked of each row is then little, and nothing at all of a word that is nowhere.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    CompoundSelect,
+    Select,
+    Subquery,
+    Text,
+    and_,
+    any_,
+    bindparam,
+    cast,
+    false,
+    func,
+    or_,
+    select,
+    true,
+    union_all,
+)
+from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
+
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.looked import Said
+from kleinkram.server.access.visible import sees_whole_missions
+from kleinkram.server.db import Connection, among
+from kleinkram.server.search.globs import holds_word, key_holds_word
+from kleinkram.server.tables import file, mission, project, topic, topic_name
+
+Conditions = list[ColumnElement[bool]]
+# Places of one kind that are named.
+_MOST = 500
+# Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
+_FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
+# A word without three letters or digits on end has no trigram to be looked up by.
+_LOOKED_UP = re.compile(r"[^\W_]{3}")
+# What JSON writes otherwise than it is.
+_ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
+
+
+def has_index(word: str) -> bool:
+    """Say whether the indexes can look a word up."""
+    return _LOOKED_UP.search(word) is not None
+
+
+def file_holds(actor: Actor, word: str) -> ColumnElement[bool]:
+    """Return the condition that a file holds a word: in path or labels, topics, its mission or project."""
+    said = actor.looked.of(word)
+    in_file, in_mission = _in_file(said), _in_mission(actor, said)
+    in_topics = _in_topics(said)
+    if word == actor.looked.led_by and (in_mission or in_topics):
+        return file.c.id.in_(_looked_up(in_file, in_mission, in_topics))
+    # The cheapest to look at first. Topics are looked at file by file: as a join, all of a common name would be read.
+    return or_(false(), *in_file, *in_mission, *(_blob_has_topic(each).is_(true()) for each in in_topics))
+
+
+def mission_holds(actor: Actor, word: str) -> ColumnElement[bool]:
+    """Return the condition that a mission holds a word itself: in its name or project's, its notes or metadata."""
+    return or_(false(), *_in_mission(actor, actor.looked.of(word)))
+
+
+def _in_file(said: Said) -> Conditions:
+    return _path_or_label_holds(said.word) if said.file_ids is None else _named(file.c.id, said.file_ids)
+
+
+def _in_mission(actor: Actor, said: Said) -> Conditions:
+    # All of it said of the mission's own columns, so that their indexes can be asked together.
+    if said.project_ids is None:
+        named = select(project.c.id).where(key_holds_word(project.c.name_key, said.word)).correlate(None)
+        in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
+    else:
+        in_project = _named(mission.c.project_id, said.project_ids)
+    says = _mission_says(actor, said.word) if said.mission_ids is None else _named(mission.c.id, said.mission_ids)
+    return says + in_project
+
+
+def _in_topics(said: Said) -> Conditions:
+    if said.topics is not None:
+        return _named(topic.c.name, said.topics)
+    # Of all topics there are few names.
+    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, said.word)).correlate(None)
+    return [topic.c.name == any_(func.array(named.scalar_subquery()))]
+
+
+def _named(column: ColumnElement[Any], values: Sequence[object]) -> Conditions:
+    return [among(column, values)] if values else []
+
+
+def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Conditions) -> CompoundSelect[Any]:
+    """Return the ids of all files of which one of these holds, each asked in an index of its own."""
+    by_mission = select(file.c.id).join(mission, mission.c.id == file.c.mission_id)
+    by_topic = select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id)
+    found = [select(file.c.id).where(each) for each in in_file]
+    found += [by_mission.where(or_(*in_mission))] if in_mission else []
+    found += [by_topic.where(each) for each in in_topics]
+    return union_all(*(each.correlate(None) for each in found))
+
+
+def _path_or_label_holds(word: str) -> Conditions:
+    return [key_holds_word(file.c.path_key, word), holds_word(func.joined(file.c.labels), word)]
+
+
+def _mission_says(actor: Actor, word: str) -> Conditions:
+    named = key_holds_word(mission.c.name_key, word)
+    if not sees_whole_missions(actor):
+        return [named]
+    values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
+    each = values.table_valued("value").render_derived()
+    as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
+    scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
+    in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
+    if not _ESCAPED_IN_JSON.search(word):
+        # The whole as text has an index, and is quickly looked through; but it holds the names of fields too.
+        in_values = and_(holds_word(cast(mission.c.metadata, Text), word), in_values)
+    return [named, holds_word(mission.c.notes, word), in_values]
+
+
+def _blob_has_topic(condition: ColumnElement[bool]) -> ColumnElement[bool]:
+    # Its own look at the topics, even where the statement around it lists topics too.
+    return select(topic.c.id).where(topic.c.blob_id == file.c.blob_id, condition).correlate(file).exists()
+
+
+async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[Said, ...]:
+    """Return where each word is said. Nothing of rights: whatever is found by this asks for those itself."""
+    asked = [*dict.fromkeys(words)]
+    if not asked:
+        return ()
+    seen = (await db.execute(_first_look(actor, asked))).one()._mapping
+    wanted: dict[str, ColumnElement[Any]] = {}
+    for number, word in enumerate(asked):
+        if has_index(word) and not _is_common(seen["files"], seen[f"files_{number}"], _FILES_DRAWN):
+            wanted[f"files_{number}"] = _first(select(file.c.id).where(or_(*_path_or_label_holds(word))))
+        if has_index(word) and not _is_common(seen["missions"], seen[f"missions_{number}"], _MISSIONS_DRAWN):
+            wanted[f"missions_{number}"] = _first(select(mission.c.id).where(or_(*_mission_says(actor, word))))
+    columns = [column.label(name) for name, column in wanted.items()]
+    found = (await db.execute(select(*columns))).one()._mapping if columns else {}
+    return tuple(
+        Said(
+            word,
+            project_ids=_few(seen[f"projects_{number}"]),
+            mission_ids=_few(found.get(f"missions_{number}")),
+            file_ids=_few(found.get(f"files_{number}")),
+            topics=_few(seen[f"topics_{number}"]),
+        )
+        for number, word in enumerate(asked)
+    )
+
+
+def _first_look(actor: Actor, words: Sequence[str]) -> Select[Any]:
+    """Return the projects and names of topics that hold each word, and how many of some files and missions do."""
+    files = _drawn("files", file.c.id, [or_(*_path_or_label_holds(word)) for word in words], _FILES_DRAWN)
+    missions = _drawn("missions", mission.c.id, [or_(*_mission_says(actor, word)) for word in words], _MISSIONS_DRAWN)
+    columns: list[ColumnElement[Any]] = [*files.c, *missions.c]
+    for number, word in enumerate(words):
+        projects = select(project.c.id).where(key_holds_word(project.c.name_key, word))
+        topics = select(topic_name.c.name).where(holds_word(topic_name.c.name, word))
+        columns += [_first(projects).label(f"projects_{number}"), _first(topics).label(f"topics_{number}")]
+    return select(*columns).select_from(files.join(missions, true()))
+
+
+def _drawn(name: str, key: ColumnElement[Any], conditions: Conditions, most: int) -> Subquery:
+    """Return how many rows were drawn by lot, as `name`, and of how many of them each condition holds."""
+    holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
+    drawn = select(*holding).order_by(key).limit(most).subquery()
+    hits = [func.count().filter(held).label(f"{name}_{number}") for number, held in enumerate(drawn.c)]
+    return select(func.count().label(name), *hits).select_from(drawn).subquery()
+
+
+def _first(found: Select[Any]) -> ColumnElement[Any]:
+    # The select is planned as if all of it were wanted: with a limit of its own, the database would rather walk the
+    # table until enough are met, and walk all of it where there are none.
+    every = found.cte().prefix_with("MATERIALIZED")
+    return func.array(select(*every.c).limit(_MOST + 1).scalar_subquery())
+
+
+def _is_common(drawn: int, hits: int, most: int) -> bool:
+    return drawn == most and hits * _COMMON >= most
+
+
+def _few(values: Sequence[Any] | None) -> tuple[Any, ...] | None:
+    return None if values is None or len(values) > _MOST else tuple(values)
