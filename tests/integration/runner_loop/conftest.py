@@ -22,7 +22,9 @@ from kleinkram.runner.runner import Runner, RunnerOptions
 from kleinkram.runner.token import TOKEN_VARIABLE
 from kleinkram.runner.work import Executor
 from tests.integration.runner.engines import Dockerd
-from tests.integration.runner_loop.fake_server import RUNNER_TOKEN, FakeRun, FakeServer
+from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
+from tests.integration.runner_loop.fake_runs import FakeRun
+from tests.integration.runner_loop.fake_server import FakeServer
 
 _SHARE = Share(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
 

@@ -11,22 +11,11 @@ import threading
 import time
 import uuid
 from collections import Counter
-from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 from pydantic import BaseModel
 
-from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.errors import (
-    FieldProblem,
-    InternalError,
-    InvalidRequest,
-    KleinkramError,
-    NotFound,
-    RunGone,
-    to_problem,
-)
+from kleinkram.contract.errors import FieldProblem, InternalError, InvalidRequest, NotFound, RunGone
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
@@ -34,10 +23,8 @@ from kleinkram.contract.runners import (
     BeatAnswer,
     BeatAnswers,
     Beats,
-    Claim,
     ClaimAsk,
     Claimed,
-    ClaimInput,
     InputsAsk,
     InputUrls,
     RunFinish,
@@ -49,56 +36,13 @@ from kleinkram.contract.runners import (
     SegmentPut,
     Verdict,
 )
-from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext, RunState
-from kleinkram.contract.uploads import (
-    ChecksumKind,
-    Completed,
-    HeldPart,
-    PartsSign,
-    Present,
-    Send,
-    SignedPart,
-    SignedParts,
-    UploadDecision,
-    UploadDecisions,
-    UploadOutcomes,
-    UploadRead,
-    UploadsComplete,
-    UploadState,
-    part_size_bytes,
-)
+from kleinkram.contract.runs import Cause, EndReason, RunContext, RunState
+from kleinkram.contract.uploads import PartsSign, UploadsComplete
 from tests.integration.runner_loop.context import LATER, a_mission
+from tests.integration.runner_loop.fake_http import Handler
+from tests.integration.runner_loop.fake_runs import FakeRun, queued
+from tests.integration.runner_loop.fake_uploads import FakeUploads
 from tests.serving import Server
-
-RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
-RUNNER_TOKEN = "klein_runner_" + "r" * 43 + "012345"
-
-
-@dataclass
-class FakeRun:
-    """A run on the server: what it is given, what its runner said and left."""
-
-    claim: Claim
-    inputs: dict[str, bytes]
-    state: RunState = RunState.queued
-    runner_id: uuid.UUID | None = None
-    attempt: int = 0
-    is_cancelled: bool = False
-    finishes: list[RunFinish] = field(default_factory=list)
-    artifacts: dict[str, bytes] = field(default_factory=dict)
-    segments: list[tuple[int, bytes]] = field(default_factory=list)
-    states: list[RunState] = field(default_factory=list)
-    progress: list[float] = field(default_factory=list)
-    digest: str | None = None
-
-    @property
-    def shown_log(self) -> bytes:
-        """The log as people saw it while the run lasted; pieces follow each other without gap."""
-        shown = b""
-        for offset, piece in self.segments:
-            assert offset == len(shown), "a piece of the log is missing or there twice"
-            shown += piece
-        return shown
 
 
 class FakeServer:
@@ -118,14 +62,14 @@ class FakeServer:
         self.holds_uploads = threading.Event()
         self.store_refuses = threading.Event()
         self._objects: dict[str, bytes] = {}
-        self._uploads: dict[uuid.UUID, tuple[FakeRun, str, int]] = {}
         self._changed = threading.Condition()
         server = self
 
-        class Handler(_Handler):
+        class OfThis(Handler):
             fake = server
 
-        self._http = Server(("127.0.0.1", 0), Handler)
+        self._http = Server(("127.0.0.1", 0), OfThis)
+        self._uploads = FakeUploads(self.url, self._objects)
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         self._thread.start()
 
@@ -142,31 +86,7 @@ class FakeServer:
 
     def launch(self, code: str, inputs: dict[str, bytes] | None = None, **changes: Any) -> FakeRun:
         """Queue a run of a script, unless changes say otherwise."""
-        given = inputs or {}
-        resources = {"cores": 1, "memory_bytes": 200_000_000, "disk_bytes": 50_000_000, "time_s": 60}
-        resources |= changes.pop("resources", {})
-        said: dict[str, Any] = {
-            "run_id": uuid.uuid4(),
-            "attempt": 1,
-            "project_id": uuid.uuid4(),
-            "mission_id": uuid.uuid4(),
-            "action": ActionRef(name="an-action", version=1),
-            "image": None,
-            "image_digest": None,
-            "command": [],
-            "script": code,
-            "dependencies": [],
-            "parameters": {},
-            "resources": Resources.model_validate(resources),
-            "network": Network.none,
-            "inputs": [
-                ClaimInput(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
-                for path, data in given.items()
-            ],
-            "token": None,
-            "lease_s": LEASE_S,
-        }
-        run = FakeRun(Claim.model_validate({**said, **changes}), given)
+        run = queued(code, inputs or {}, changes)
         with self._changed:
             self.runs[run.claim.run_id] = run
             self._changed.notify_all()
@@ -205,9 +125,9 @@ class FakeServer:
             assert noun is not None
             return self._beat(noun, Beats.model_validate_json(body))
         if name == "/uploads/parts":
-            return self._sign(PartsSign.model_validate_json(body))
+            return self._uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
-            return self._complete(UploadsComplete.model_validate_json(body))
+            return self._uploads.complete(UploadsComplete.model_validate_json(body))
         run = self.runs.get(noun) if noun else None
         if run is None or not name.startswith("/runner/runs/*/"):
             raise NotFound(noun="route", ref=path)
@@ -240,7 +160,11 @@ class FakeServer:
             self._keep(run, SegmentKept.model_validate_json(body))
             return None
         if what == "uploads":
-            return self._begin(run, ArtifactsBegin.model_validate_json(body))
+            begin = ArtifactsBegin.model_validate_json(body)
+            self._check(run, begin.attempt)
+            while self.holds_uploads.is_set():
+                time.sleep(0.02)
+            return self._uploads.begin(run, begin)
         return self._finish(run, RunFinish.model_validate_json(body))
 
     def _service(self) -> ServiceRead:
@@ -306,58 +230,6 @@ class FakeServer:
         if (kept.offset, piece) not in run.segments:
             run.segments.append((kept.offset, piece))
 
-    def _begin(self, run: FakeRun, begin: ArtifactsBegin) -> UploadDecisions:
-        self._check(run, begin.attempt)
-        while self.holds_uploads.is_set():
-            time.sleep(0.02)
-        decisions: list[UploadDecision] = []
-        for file in begin.files:
-            if file.path in run.artifacts:
-                decisions.append(Present(file=None))
-                continue
-            upload_id = uuid.uuid4()
-            self._uploads[upload_id] = (run, file.path, file.size_bytes)
-            upload = UploadRead(
-                id=upload_id,
-                mission_id=run.claim.mission_id,
-                path=file.path,
-                size_bytes=file.size_bytes,
-                part_size_bytes=part_size_bytes(file.size_bytes),
-                checksum=ChecksumKind.sha256,
-                state=UploadState.open,
-                lease_ends_at=LATER,
-                expires_at=LATER,
-                parts=list[HeldPart](),
-            )
-            decisions.append(Send(upload=upload))
-        return UploadDecisions(items=decisions)
-
-    def _sign(self, asked: PartsSign) -> SignedParts:
-        signed = [
-            SignedPart(
-                upload_id=part.upload_id,
-                number=part.number,
-                url=f"{self.url}/store/up/{part.upload_id}/{part.number}?sha256={part.checksum}",
-                headers={},
-                expires_at=LATER,
-            )
-            for part in asked.parts
-        ]
-        return SignedParts(items=signed)
-
-    def _complete(self, asked: UploadsComplete) -> UploadOutcomes:
-        for each in asked.uploads:
-            run, path, size = self._uploads[each.upload_id]
-            parts = sorted(
-                (int(key.rpartition("/")[2]), data)
-                for key, data in self._objects.items()
-                if key.startswith(f"up/{each.upload_id}/")
-            )
-            whole = b"".join(data for _, data in parts)
-            assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, each.sha256)
-            run.artifacts[path] = whole
-        return UploadOutcomes(items=[Completed(upload_id=each.upload_id, file=None) for each in asked.uploads])
-
     def _finish(self, run: FakeRun, finish: RunFinish) -> RunFinished:
         if not (run.finishes and run.attempt == finish.attempt):
             self._check(run, finish.attempt)
@@ -383,73 +255,3 @@ class FakeServer:
             return False
         self._objects[key] = data
         return True
-
-
-class _Handler(BaseHTTPRequestHandler):
-    fake: FakeServer
-    protocol_version = "HTTP/1.1"
-    # An answer is two writes; else each waits for the other side's word.
-    disable_nagle_algorithm = True
-    wbufsize = -1
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  as its base calls it
-        """Say nothing."""
-
-    def do_GET(self) -> None:
-        self._do("GET")
-
-    def do_POST(self) -> None:
-        self._do("POST")
-
-    def do_PUT(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        path, _, query = self.path.partition("?")
-        is_taken = self.fake.write(path.removeprefix("/store/"), body, query.removeprefix("sha256="))
-        self._say(200 if is_taken else 503, b"", {"ETag": '"e"'})
-
-    def _do(self, method: str) -> None:
-        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-        path, _, query = self.path.partition("?")
-        if self.fake.is_silent.is_set():
-            self.close_connection = True
-            return
-        if path.startswith("/store/"):
-            self._give(self.fake.read(path.removeprefix("/store/")))
-            return
-        allowed = {RUNNER_TOKEN, RUN_TOKEN} if path == "/api/v1/service" else {RUNNER_TOKEN}
-        assert self.headers["Authorization"] in {f"Bearer {token}" for token in allowed}
-        try:
-            answer = self.fake.answer(method, path.removeprefix("/api/v1"), query, body)
-        except KleinkramError as error:
-            problem = to_problem(error, "a-request").model_dump_json().encode()
-            self._say(error.status, problem, {"Content-Type": "application/problem+json"})
-            return
-        if self.fake.is_silent.is_set():
-            self.close_connection = True
-            return
-        self._say(200 if answer else 204, answer.model_dump_json().encode() if answer else b"", {})
-
-    def _give(self, data: bytes) -> None:
-        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
-        assert wanted is not None
-        data = data[int(wanted.group(1)) : int(wanted.group(2)) + 1]
-        self.send_response(206)
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        pace = self.fake.slow_bytes_per_s
-        step = len(data) if pace is None else max(1, int(pace / 20))
-        try:
-            for at in range(0, len(data), step or 1):
-                self.wfile.write(data[at : at + step])
-                if pace is not None:
-                    self.wfile.flush()
-                    time.sleep(0.05)
-        except OSError:
-            self.close_connection = True
-
-    def _say(self, status: int, body: bytes, headers: dict[str, str]) -> None:
-        self.send_response(status)
-        for name, value in {**headers, "Content-Length": str(len(body))}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)

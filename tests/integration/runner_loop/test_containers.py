@@ -15,7 +15,8 @@ from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker  # noqa: F401  a fixture
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
-from tests.integration.runner_loop.fake_server import RUN_TOKEN, FakeServer
+from tests.integration.runner_loop.fake_http import RUN_TOKEN
+from tests.integration.runner_loop.fake_server import FakeServer
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,8 @@ from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.orders import MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
-from tests.integration.runner_loop.fake_server import FakeRun, FakeServer
+from tests.integration.runner_loop.fake_runs import FakeRun
+from tests.integration.runner_loop.fake_server import FakeServer
 
 # Says that it lives by a file that nobody else touches, and ends when asked to by another one.
 LASTING = (

@@ -8,7 +8,8 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
-from tests.integration.runner_loop.fake_server import RUN_TOKEN, RUNNER_TOKEN, FakeServer
+from tests.integration.runner_loop.fake_http import RUN_TOKEN, RUNNER_TOKEN
+from tests.integration.runner_loop.fake_server import FakeServer
 
 
 @pytest.mark.slow

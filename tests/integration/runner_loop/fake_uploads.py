@@ -1,0 +1,88 @@
+"""The upload protocol of the stand-in for the server, as far as runs leave things by it."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+
+from kleinkram.contract.runners import ArtifactsBegin
+from kleinkram.contract.uploads import (
+    ChecksumKind,
+    Completed,
+    HeldPart,
+    PartsSign,
+    Present,
+    Send,
+    SignedPart,
+    SignedParts,
+    UploadDecision,
+    UploadDecisions,
+    UploadOutcomes,
+    UploadRead,
+    UploadsComplete,
+    UploadState,
+    part_size_bytes,
+)
+from tests.integration.runner_loop.context import LATER
+from tests.integration.runner_loop.fake_runs import FakeRun
+
+
+class FakeUploads:
+    """Uploads whose parts go to the store at `url`, which keeps what arrives in `objects`."""
+
+    def __init__(self, url: str, objects: dict[str, bytes]) -> None:
+        self._url = url
+        self._objects = objects
+        self._uploads: dict[uuid.UUID, tuple[FakeRun, str, int]] = {}
+
+    def begin(self, run: FakeRun, begin: ArtifactsBegin) -> UploadDecisions:
+        """Open uploads of what a run left; what is there already is not asked for again."""
+        decisions: list[UploadDecision] = []
+        for file in begin.files:
+            if file.path in run.artifacts:
+                decisions.append(Present(file=None))
+                continue
+            upload_id = uuid.uuid4()
+            self._uploads[upload_id] = (run, file.path, file.size_bytes)
+            upload = UploadRead(
+                id=upload_id,
+                mission_id=run.claim.mission_id,
+                path=file.path,
+                size_bytes=file.size_bytes,
+                part_size_bytes=part_size_bytes(file.size_bytes),
+                checksum=ChecksumKind.sha256,
+                state=UploadState.open,
+                lease_ends_at=LATER,
+                expires_at=LATER,
+                parts=list[HeldPart](),
+            )
+            decisions.append(Send(upload=upload))
+        return UploadDecisions(items=decisions)
+
+    def sign(self, asked: PartsSign) -> SignedParts:
+        """Say where parts are to be sent."""
+        signed = [
+            SignedPart(
+                upload_id=part.upload_id,
+                number=part.number,
+                url=f"{self._url}/store/up/{part.upload_id}/{part.number}?sha256={part.checksum}",
+                headers={},
+                expires_at=LATER,
+            )
+            for part in asked.parts
+        ]
+        return SignedParts(items=signed)
+
+    def complete(self, asked: UploadsComplete) -> UploadOutcomes:
+        """Give runs what arrived whole."""
+        for each in asked.uploads:
+            run, path, size = self._uploads[each.upload_id]
+            parts = sorted(
+                (int(key.rpartition("/")[2]), data)
+                for key, data in self._objects.items()
+                if key.startswith(f"up/{each.upload_id}/")
+            )
+            whole = b"".join(data for _, data in parts)
+            assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, each.sha256)
+            run.artifacts[path] = whole
+        return UploadOutcomes(items=[Completed(upload_id=each.upload_id, file=None) for each in asked.uploads])
