@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from kleinkram.cli.main import app
 from kleinkram.client import connect
 from kleinkram.contract.errors import EditedMeanwhile
+from tests.integration.people import person
 from tests.integration.races import racing
 from tests.integration.running import Answer, Api
 from tests.integration.uploading import upload
@@ -29,11 +30,15 @@ _EDITS: dict[str, list[tuple[Any, Any]]] = {
         ({"is_public": True}, {"licence": "CC0-1.0"}),
     ],
     "files": [({"labels": ["good"]}, {"labels": ["night"]}), ({"path": "a.bin"}, {"path": "b.bin"})],
+    "groups": [({"name": "first"}, {"name": "second"})],
+    "actions": [({"archived": True}, {"archived": False})],
 }
 _HOLD = {
     "missions": "SELECT 1 FROM mission WHERE id = %s FOR UPDATE",
     "projects": "SELECT 1 FROM project WHERE id = %s FOR UPDATE",
     "files": "SELECT 1 FROM file f JOIN mission m ON m.id = f.mission_id WHERE f.id = %s FOR UPDATE",
+    "groups": "SELECT 1 FROM access_group WHERE id = %s FOR UPDATE",
+    "actions": "SELECT 1 FROM action WHERE id = %s FOR UPDATE",
 }
 
 
@@ -42,7 +47,17 @@ def _made(api: Api) -> dict[str, Any]:
     """One of each noun, by its path."""
     project = api.project(fields_yaml=FIELDS)
     mission = api.mission(project["id"], metadata={"robot": "anymal"}, notes="fog")
-    return {"projects": project, "missions": mission, "files": upload(api, mission["id"], "run.bin", b"abc")}
+    return {
+        "projects": project,
+        "missions": mission,
+        "files": upload(api, mission["id"], "run.bin", b"abc"),
+        "groups": api.post("/groups", {"name": f"group {mission['id']}"}).ok(201),
+        "actions": api.post("/actions", {"project_id": project["id"], "definition": _definition("1")}).ok(201),
+    }
+
+
+def _definition(script: str) -> dict[str, str]:
+    return {"name": "count", "script": script}
 
 
 def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
@@ -54,7 +69,7 @@ def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
 )
 def test_whoever_comes_second_is_told(api: Api, made: dict[str, Any], noun: str, first: Any, second: Any) -> None:
     seen = api.get(f"/{noun}/{made[noun]['id']}").ok()
-    if noun == "missions" and "name" in first:  # its project is shared by nobody
+    if "name" in first:  # so that nobody else has it
         first, second = ({"name": f"{each['name']} {seen['id']}"} for each in (first, second))
     with racing(api, _HOLD[noun], seen["id"]) as send:
         both = [send(_change, api, noun, seen, body) for body in (first, second)]
@@ -72,6 +87,36 @@ def test_what_is_so_already_is_no_conflict(api: Api, made: dict[str, Any], noun:
     seen, body = made[noun], _EDITS[noun][0][0]
     kept = _change(api, noun, seen, body).ok()
     assert _change(api, noun, seen, body).ok()["edition"] == kept["edition"], "an answer was lost, and asked for again"
+
+
+def test_of_two_who_publish_the_next_version_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
+    seen = made["actions"]
+
+    def publish(script: str, edition: str) -> Answer:
+        body, headers = {"definition": _definition(script)}, {"If-Match": f'"{edition}"'}
+        return api.call("POST", f"/actions/{seen['id']}/versions", body, headers=headers)
+
+    with racing(api, _HOLD["actions"], seen["id"]) as send:
+        both = [send(publish, script, seen["edition"]) for script in ("2", "3")]
+    kept = both[0].result(30).ok(201)
+    assert both[1].result(30).refused(412, "edited_meanwhile")["edition"] == kept["edition"] != seen["edition"]
+    assert publish("2", seen["edition"]).ok(201) == kept, "an answer was lost, and asked for again"
+    assert publish("3", kept["edition"]).ok(201)["latest"]["number"] == 3
+
+
+def test_of_two_who_say_how_somebody_is_in_a_group_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
+    path = f"/groups/{made['groups']['id']}/members/{person(api).id}"
+    put: Callable[[Any, Any], Answer] = lambda body, seen: api.call(  # noqa: E731  (short)
+        "PUT", path, body, headers={"If-Match": f'"{seen["edition"]}"'} if seen else None
+    )
+    seen = put({}, None).ok()
+    put({"is_editor": True}, seen).ok()
+    until = {"expires_at": "2100-01-01T00:00:00Z"}
+    problem = put(until, seen).refused(412, "edited_meanwhile")
+    assert put(until, problem).ok()["is_editor"] is False, "having looked again, they may"
+    assert put({"expires_at": "2100-01-01T01:00:00+01:00"}, seen).ok()["edition"] != seen["edition"], "it is so already"
+    api.delete(path).ok(204)
+    put({}, seen).refused(404, "not_found")
 
 
 def test_what_jobs_find_out_is_no_edit(api: Api, made: dict[str, Any]) -> None:

@@ -111,9 +111,14 @@ class Api:
         finally:
             answer.close()
 
-    def send(self, method: str, path: str, kind: type[T], body: BaseModel | None = None) -> T:
-        """Ask for a change and return its answer; not tried again once the server may have seen it."""
-        answer = self._request(method, path, body=body, idempotent=False)
+    def send(
+        self, method: str, path: str, kind: type[T], body: BaseModel | None = None, *, edition: str | None = None
+    ) -> T:
+        """Ask for a change and return its answer; not tried again once the server may have seen it.
+
+        With an `edition`, only where what is changed is still that.
+        """
+        answer = self._request(method, path, body=body, idempotent=False, edition=edition)
         return self.understood(kind, f"{method} {path}", answer)
 
     def repeat(

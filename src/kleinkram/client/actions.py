@@ -73,14 +73,19 @@ class Actions:
             "POST", "/actions", ActionRead, ActionCreate(project_id=project_id, definition=definition)
         )
 
-    def add_version(self, action_id: uuid.UUID, definition: ActionDefinition) -> ActionRead:
+    def add_version(
+        self, action_id: uuid.UUID, definition: ActionDefinition, *, if_edition: str | None = None
+    ) -> ActionRead:
         """Publish the next version of an action, under the name that it has; earlier ones stay and can be run.
+
+        With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
 
         Raises:
             Forbidden: it is not yours to change.
+            EditedMeanwhile: it is of another edition by now.
         """
         body = VersionCreate(definition=definition)
-        return self._api.send("POST", f"/actions/{action_id}/versions", ActionRead, body)
+        return self._api.send("POST", f"/actions/{action_id}/versions", ActionRead, body, edition=if_edition)
 
     def versions(self, action_id: uuid.UUID) -> Iterator[ActionVersionRead]:
         """Yield the versions of an action, latest first."""
@@ -99,9 +104,17 @@ class Actions:
             raise NotFound(noun="version", ref=f"{action.name}@{number}")
         return found
 
-    def archive(self, action_id: uuid.UUID, *, archived: bool = True) -> ActionRead:
-        """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay."""
-        return self._api.patch(f"/actions/{action_id}", ActionRead, ActionUpdate(archived=archived))
+    def archive(self, action_id: uuid.UUID, *, archived: bool = True, if_edition: str | None = None) -> ActionRead:
+        """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay.
+
+        With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
+
+        Raises:
+            Forbidden: it is not yours to change.
+            EditedMeanwhile: it is of another edition by now.
+        """
+        body = ActionUpdate(archived=archived)
+        return self._api.patch(f"/actions/{action_id}", ActionRead, body, edition=if_edition)
 
     def _project_id(self, project: str | uuid.UUID | None) -> uuid.UUID | None:
         return project if project is None or isinstance(project, uuid.UUID) else Projects(self._api).get(project).id

@@ -43,14 +43,18 @@ class Groups:
         """
         return self._api.send("POST", "/groups", GroupRead, checked(GroupCreate, "The group", name=name))
 
-    def rename(self, group_id: uuid.UUID, name: str) -> GroupRead:
+    def rename(self, group_id: uuid.UUID, name: str, *, if_edition: str | None = None) -> GroupRead:
         """Rename a group. For its editors.
+
+        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             NameTaken, InvalidInput: as in `create`.
             GroupFixed: its name is in the server's settings.
+            EditedMeanwhile: it is of another edition by now.
         """
-        return self._api.patch(f"/groups/{group_id}", GroupRead, checked(GroupUpdate, "The group", name=name))
+        body = checked(GroupUpdate, "The group", name=name)
+        return self._api.patch(f"/groups/{group_id}", GroupRead, body, edition=if_edition)
 
     def delete(self, group_id: uuid.UUID) -> None:
         """Delete a group, and with it what was granted to it. For its editors.
@@ -72,15 +76,19 @@ class Groups:
         *,
         is_editor: bool = False,
         expires_at: datetime.datetime | None = None,
+        if_edition: str | None = None,
     ) -> MemberRead:
         """Put somebody into a group, or change how and until when they are in it. For its editors.
 
+        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+
         Raises:
-            NotFound: there is nobody of that id whom one may know of.
+            NotFound: there is nobody of that id whom one may know of; with `if_edition`, in the group.
             InvalidInput: the time has no zone.
+            EditedMeanwhile: the membership is of another edition by now.
         """
         body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
-        return self._api.send("PUT", f"/groups/{group_id}/members/{person_id}", MemberRead, body)
+        return self._api.send("PUT", f"/groups/{group_id}/members/{person_id}", MemberRead, body, edition=if_edition)
 
     def remove_member(self, group_id: uuid.UUID, person_id: uuid.UUID) -> None:
         """Take somebody out of a group, as its editor; or leave it oneself.

@@ -9,11 +9,12 @@ import math
 import uuid
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -287,8 +288,16 @@ class ActionVersionRead(BaseModel):
     created_by: PersonRef
 
 
+def _edition(said: dict[str, Any]) -> str:
+    return edition_of("action", said["id"], said["latest"].number, said["archived"])
+
+
 class ActionRead(BaseModel):
-    """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may."""
+    """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+
+    `edition` names its latest version and whether it is archived: given back with a change or a further version, that
+    is refused where somebody else came first.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -301,6 +310,7 @@ class ActionRead(BaseModel):
     created_at: datetime.datetime
     created_by: PersonRef
     may_change: bool
+    edition: Edition = Field(default_factory=_edition)
 
 
 class ActionFilter(BaseModel):

@@ -44,7 +44,7 @@ export interface paths {
         head?: never;
         /**
          * Update Action
-         * @description Archive an action, or take it back.
+         * @description Archive an action, or take it back. With If-Match, only where it is still of that edition.
          */
         patch: operations["update_action"];
         trace?: never;
@@ -64,7 +64,7 @@ export interface paths {
         put?: never;
         /**
          * Publish Action Version
-         * @description Publish a further version of an action.
+         * @description Publish a further version of an action. With If-Match, only where it is still of that edition.
          */
         post: operations["publish_action_version"];
         delete?: never;
@@ -857,7 +857,7 @@ export interface paths {
         head?: never;
         /**
          * Update Group
-         * @description Rename a group.
+         * @description Rename a group. With If-Match, only where it is still of that edition.
          */
         patch: operations["update_group"];
         trace?: never;
@@ -893,6 +893,8 @@ export interface paths {
         /**
          * Set Group Member
          * @description Put somebody into a group, or change how and until when they are in it.
+         *
+         *     With If-Match, only where they are in it, and their membership is still of that edition.
          */
         put: operations["set_group_member"];
         post?: never;
@@ -2470,6 +2472,9 @@ export interface components {
         /**
          * ActionRead
          * @description An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+         *
+         *     `edition` names its latest version and whether it is archived: given back with a change or a further version, that
+         *     is refused where somebody else came first.
          */
         ActionRead: {
             /** Archived */
@@ -2482,6 +2487,8 @@ export interface components {
             created_by: components["schemas"]["PersonRef"];
             /** Description */
             description: string;
+            /** Edition */
+            edition?: string;
             /**
              * Id
              * Format: uuid
@@ -3673,7 +3680,8 @@ export interface components {
          * @description A group. Members whose time is over, or who left, do not count.
          *
          *     `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
-         *     settings say of an affiliation group.
+         *     settings say of an affiliation group. `edition` names the group as its editors last named it: given back with a
+         *     change, that is refused where somebody else came first.
          */
         GroupRead: {
             /**
@@ -3685,6 +3693,8 @@ export interface components {
             default_right: components["schemas"]["Right"] | null;
             /** Domains */
             domains: string[];
+            /** Edition */
+            edition?: string;
             /** Expires At */
             expires_at: string | null;
             /**
@@ -4010,7 +4020,8 @@ export interface components {
          * MemberRead
          * @description Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
          *
-         *     `is_active`: neither has their time ended, nor did they leave.
+         *     `is_active`: neither has their time ended, nor did they leave. `edition` names how and until when they are in it:
+         *     given back with a change, that is refused where somebody else came first.
          */
         MemberRead: {
             /**
@@ -4019,6 +4030,8 @@ export interface components {
              */
             added_at: string;
             added_by: components["schemas"]["PersonRef"] | null;
+            /** Edition */
+            edition?: string;
             /** Emails */
             emails: string[];
             /** Expires At */
@@ -6616,7 +6629,10 @@ export interface operations {
     update_action: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 action_id: string;
             };
@@ -6666,6 +6682,15 @@ export interface operations {
             };
             /** @description A failure, by its code: name_taken. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6793,7 +6818,10 @@ export interface operations {
     publish_action_version: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 action_id: string;
             };
@@ -6834,6 +6862,15 @@ export interface operations {
             };
             /** @description A failure, by its code: not_found. */
             404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -10555,7 +10592,10 @@ export interface operations {
     update_group: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 group_id: string;
             };
@@ -10605,6 +10645,15 @@ export interface operations {
             };
             /** @description A failure, by its code: name_taken, group_fixed. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -10733,7 +10782,10 @@ export interface operations {
     set_group_member: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The `edition` that was looked at, in quotes. */
+                "If-Match"?: string | null;
+            };
             path: {
                 group_id: string;
                 person_id: string;
@@ -10784,6 +10836,15 @@ export interface operations {
             };
             /** @description A failure, by its code: group_fixed, last_owner, last_admin. */
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: edited_meanwhile. */
+            412: {
                 headers: {
                     [name: string]: unknown;
                 };

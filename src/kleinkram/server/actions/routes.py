@@ -16,6 +16,7 @@ from kleinkram.contract.actions import (
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.actions import service
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.editions import IfMatch
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
@@ -52,10 +53,10 @@ async def get_action(action_id: uuid.UUID, db: Transaction, actor: CurrentActor)
 
 @router.patch("/{action_id}", operation_id="update_action")
 async def update_action(
-    action_id: uuid.UUID, changes: ActionUpdate, db: Transaction, actor: CurrentActor
+    action_id: uuid.UUID, changes: ActionUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Archive an action, or take it back."""
-    return await service.set_archived(db, actor, action_id=action_id, archived=changes.archived)
+    """Archive an action, or take it back. With If-Match, only where it is still of that edition."""
+    return await service.set_archived(db, actor, action_id=action_id, archived=changes.archived, if_match=if_match)
 
 
 @router.get("/{action_id}/versions", operation_id="list_action_versions")
@@ -72,7 +73,7 @@ async def list_action_versions(
 
 @router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)
 async def publish_action_version(
-    action_id: uuid.UUID, wanted: VersionCreate, db: Transaction, actor: CurrentActor
+    action_id: uuid.UUID, wanted: VersionCreate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Publish a further version of an action."""
-    return await service.add_version(db, actor, action_id=action_id, definition=wanted.definition)
+    """Publish a further version of an action. With If-Match, only where it is still of that edition."""
+    return await service.add_version(db, actor, action_id=action_id, definition=wanted.definition, if_match=if_match)

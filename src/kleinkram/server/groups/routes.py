@@ -10,6 +10,7 @@ from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, Membe
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.editions import IfMatch
 from kleinkram.server.groups import service
 from kleinkram.server.pages import PageRequest
 
@@ -61,9 +62,11 @@ async def get_group(group_id: uuid.UUID, db: Transaction, actor: CurrentActor) -
 
 
 @router.patch("/{group_id}", operation_id="update_group")
-async def update_group(group_id: uuid.UUID, changes: GroupUpdate, db: Transaction, actor: CurrentActor) -> GroupRead:
-    """Rename a group."""
-    return await service.rename_group(db, actor, group_id=group_id, changes=changes)
+async def update_group(
+    group_id: uuid.UUID, changes: GroupUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
+) -> GroupRead:
+    """Rename a group. With If-Match, only where it is still of that edition."""
+    return await service.rename_group(db, actor, group_id=group_id, changes=changes, if_match=if_match)
 
 
 @router.delete("/{group_id}", operation_id="delete_group", status_code=204)
@@ -83,10 +86,18 @@ async def list_group_members(
 
 @router.put("/{group_id}/members/{person_id}", operation_id="set_group_member")
 async def set_group_member(
-    group_id: uuid.UUID, person_id: uuid.UUID, wanted: MemberSet, db: Transaction, actor: CurrentActor
+    group_id: uuid.UUID,
+    person_id: uuid.UUID,
+    wanted: MemberSet,
+    db: Transaction,
+    actor: CurrentActor,
+    if_match: IfMatch = None,
 ) -> MemberRead:
-    """Put somebody into a group, or change how and until when they are in it."""
-    return await service.set_member(db, actor, group_id=group_id, person_id=person_id, wanted=wanted)
+    """Put somebody into a group, or change how and until when they are in it.
+
+    With If-Match, only where they are in it, and their membership is still of that edition.
+    """
+    return await service.set_member(db, actor, group_id=group_id, person_id=person_id, wanted=wanted, if_match=if_match)
 
 
 @router.delete("/{group_id}/members/{person_id}", operation_id="remove_group_member", status_code=204)

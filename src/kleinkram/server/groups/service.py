@@ -28,6 +28,7 @@ from kleinkram.server.access.rights import hold_rights
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.editions import require_edition
 from kleinkram.server.groups import queries
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
@@ -77,20 +78,25 @@ async def create_group(db: Connection, actor: Actor, *, wanted: GroupCreate, cre
     return await get_group(db, actor, group_id)
 
 
-async def rename_group(db: Connection, actor: Actor, *, group_id: uuid.UUID, changes: GroupUpdate) -> GroupRead:
-    """Rename a group and return it.
+async def rename_group(
+    db: Connection, actor: Actor, *, group_id: uuid.UUID, changes: GroupUpdate, if_match: str | None = None
+) -> GroupRead:
+    """Rename a group and return it; where that is its name already, nothing is asked of its edition.
 
     Raises:
         NotFound: it is not there, or not for this actor.
         Forbidden: they are no editor of it.
         GroupFixed: its name is in the settings, or ours.
         NameTaken: there is a group of that name, seen or not.
+        EditedMeanwhile: it is not of the edition in `if_match` any more.
     """
+    await db.execute(select(access_group.c.id).where(access_group.c.id == group_id).with_for_update())
     seen = await _managed(db, actor, group_id, "rename")
     if seen.kind is not GroupKind.custom:
         raise GroupFixed(name=seen.name, reason="its name is given")
     if seen.name == changes.name:
         return seen
+    require_edition(if_match, seen.edition, noun="group", name=seen.name)
     renamed = update(access_group).where(access_group.c.id == group_id)
     try:
         await db.execute(renamed.values(name=changes.name, name_key=name_key(changes.name)))
@@ -136,22 +142,34 @@ async def list_members(db: Connection, actor: Actor, *, group_id: uuid.UUID, pag
 
 
 async def set_member(
-    db: Connection, actor: Actor, *, group_id: uuid.UUID, person_id: uuid.UUID, wanted: MemberSet
+    db: Connection,
+    actor: Actor,
+    *,
+    group_id: uuid.UUID,
+    person_id: uuid.UUID,
+    wanted: MemberSet,
+    if_match: str | None = None,
 ) -> MemberRead:
     """Put somebody into a group, or change how and until when they are in it, and return that.
 
+    Where it is so already, nothing is asked of the edition.
+
     Raises:
-        NotFound: the group or the person is not there, or not for this actor.
+        NotFound: the group or the person is not there, or not for this actor; or `if_match` names an edition, and they
+            are in the group no longer.
         Forbidden: they are no editor of it.
         RightExceeded: it is for longer than they are in it themselves.
         GroupFixed: who is in it follows from addresses; only who edits it can be changed.
         InvalidRequest: the end has passed already.
         LastOwner, LastAdmin: somebody would be in it no longer for good, and was the last.
+        EditedMeanwhile: the membership is not of the edition in `if_match` any more.
     """
     await hold_rights(db)
     seen = await _managed(db, actor, group_id, "add members")
     old = await _member(db, actor, group_id, person_id)
     name = old.name if old is not None else await _name_of(db, actor, person_id)
+    if old is None and if_match is not None:
+        raise NotFound(noun="member", ref=str(person_id))
     if seen.kind is GroupKind.affiliation and (old is None or wanted.expires_at is not None):
         raise GroupFixed(name=seen.name, reason="who is in it, and until when, follows from verified addresses")
     if wanted.expires_at is not None:
@@ -160,6 +178,8 @@ async def set_member(
             raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
     values = {"is_editor": wanted.is_editor, "expires_at": wanted.expires_at}
     if old is None or (old.is_editor, old.expires_at) != (wanted.is_editor, wanted.expires_at):
+        if old is not None:
+            require_edition(if_match, queries.to_member(old).edition, noun="member", name=old.name)
         _see_that_it_is_theirs_to_give(actor, seen, wanted)
         after = {"person": name, **_said(wanted.is_editor, wanted.expires_at)}
         await record(db, actor, _event(seen, "group.member", _before(old), after))

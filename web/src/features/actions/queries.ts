@@ -1,6 +1,7 @@
 // What the pages of actions ask the server.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
+import { ifStill, ledTo, type Looked } from "@/api/editions";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { Action, ActionVersion } from "@/api/types";
@@ -48,8 +49,12 @@ export function useVersions(actionId: string) {
 
 export function useArchiving(actionId: string) {
   const queries = useQueryClient();
+  const path = { action_id: actionId };
   return useMutation({
-    mutationFn: (archived: boolean) => call(api.PATCH("/api/v1/actions/{action_id}", { params: { path: { action_id: actionId } }, body: { archived } })),
-    onSuccess: () => queries.invalidateQueries({ queryKey: ["actions"] }),
+    mutationFn: ({ edition, ...body }: { readonly archived: boolean } & Looked) =>
+      call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifStill(edition) }, body })),
+    onSuccess: (action, { edition }) => ledTo(edition, action.edition),
+    // Also where it was refused: somebody else may have come first.
+    onSettled: () => queries.invalidateQueries({ queryKey: ["actions"] }),
   });
 }

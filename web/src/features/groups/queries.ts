@@ -1,6 +1,7 @@
 // What the pages of groups ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
+import { ifStill, ledTo } from "@/api/editions";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { components } from "@/api/schema";
@@ -46,18 +47,30 @@ export function useCandidates(typed: () => string) {
 export function useGroupChanges() {
   const queries = useQueryClient();
   async function done<Told>(told: Promise<Told>): Promise<Told> {
-    const answer = await told;
-    for (const key of ["groups", "people", "access", "me"]) void queries.invalidateQueries({ queryKey: [key] });
-    return answer;
+    try {
+      return await told;
+    } finally {
+      // Also where it was refused: somebody else may have come first.
+      for (const key of ["groups", "people", "access", "me"]) void queries.invalidateQueries({ queryKey: [key] });
+    }
   }
   const one = (groupId: string) => ({ path: { group_id: groupId } });
   const member = (groupId: string, personId: string) => ({ path: { group_id: groupId, person_id: personId } });
+
+  async function rename(groupId: string, name: string, edition?: string): Promise<void> {
+    const params = { ...one(groupId), header: ifStill(edition) };
+    const renamed = await done(call(api.PATCH("/api/v1/groups/{group_id}", { params, body: { name } })));
+    ledTo(edition, renamed.edition);
+  }
+
   return {
     create: (name: string) => done(call(api.POST("/api/v1/groups", { body: { name } }))),
-    rename: (groupId: string, name: string) => done(call(api.PATCH("/api/v1/groups/{group_id}", { params: one(groupId), body: { name } }))),
+    rename,
     remove: (groupId: string) => done(call(api.DELETE("/api/v1/groups/{group_id}", { params: one(groupId) }))),
-    setMember: (groupId: string, personId: string, body: MemberSet) =>
-      done(call(api.PUT("/api/v1/groups/{group_id}/members/{person_id}", { params: member(groupId, personId), body }))),
+    setMember: (groupId: string, personId: string, body: MemberSet, edition?: string) => {
+      const params = { ...member(groupId, personId), header: ifStill(edition) };
+      return done(call(api.PUT("/api/v1/groups/{group_id}/members/{person_id}", { params, body })));
+    },
     removeMember: (groupId: string, personId: string) =>
       done(call(api.DELETE("/api/v1/groups/{group_id}/members/{person_id}", { params: member(groupId, personId) }))),
   };
