@@ -20,15 +20,21 @@ from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.docker.images import Pull
 from kleinkram.runner.work import CannotStart, Door, Work
 from tests.integration.runner import engines
-from tests.integration.runner.conftest import Bench, log_of
+from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
 from tests.integration.runner.test_executors import KNOCKS, answers, until_said
 
-_ENGINES = ["docker", pytest.param("podman", marks=pytest.mark.soak)]
-pytestmark = [pytest.mark.slow, pytest.mark.parametrize("bench", _ENGINES, indirect=True)]
+pytestmark = pytest.mark.slow
+BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
 
 # Says what it does for as long as nobody ends it.
 COUNTS = "import time\nfor n in range(10_000): print(f'line {n}', flush=True); time.sleep(0.01)"
+
+
+@pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    """Somewhere to run things, by each engine."""
+    yield from lent(request.param, request, tmp_path)
 
 
 @pytest.fixture
@@ -133,6 +139,7 @@ def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> No
     assert engine.docker("volume", "ls", "--quiet") == ""
 
 
+@BOTH
 def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
     text = (
         "import os, re\n"
@@ -145,6 +152,7 @@ def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
     assert (one.folder / "out").stat().st_uid != (two.folder / "out").stat().st_uid
 
 
+@BOTH
 def test_processes_are_counted(bench: Bench) -> None:
     text = (
         "import os, time\nn = 0\ntry:\n    while n < 5000:\n"
@@ -155,6 +163,7 @@ def test_processes_are_counted(bench: Bench) -> None:
     assert 500 < int(log_of(work)) < 1024
 
 
+@BOTH
 def test_what_is_written_beside_is_not(bench: Bench) -> None:
     work, _ = bench.run(
         "import os\n"
@@ -185,6 +194,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@BOTH
 def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, engine: Dockerd) -> None:
     work = bench.work(COUNTS)
     words = [str(engine.socket), str(work.folder), work.key, str(work.image), COUNTS]
@@ -201,6 +211,7 @@ def kill_warden(work: Work) -> None:
     os.kill(int(re.findall(r'"pid": (\d+)', (work.folder / "warden.json").read_text())[0]), signal.SIGKILL)
 
 
+@BOTH
 def test_a_warden_is_killed_and_nothing_is_lost_or_said_twice(bench: Bench) -> None:
     text = COUNTS.replace("10_000", "300").replace(
         "print(", "print(f'error {n}', file=__import__('sys').stderr); print("

@@ -18,7 +18,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward, wardens
 from kleinkram.runner.work import GRACE_S, CannotStart, Door
-from tests.integration.runner.conftest import Bench, log_of
+from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.lacking import missing
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
@@ -38,6 +38,7 @@ def until_said(bench: Bench, text: str, words: str) -> None:
         time.sleep(0.02)
 
 
+@EVERYWHERE
 def test_reads_in_and_leaves_out(isolated: Bench) -> None:
     work = isolated.work(
         "import os, pathlib\n"
@@ -67,6 +68,7 @@ def test_nothing_else_can_be_written(isolated: Bench, path: str) -> None:
     assert (work.folder / "in" / "drive.txt").read_text() == "bytes of a drive"
 
 
+@EVERYWHERE
 def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
     secret = isolated.folder / "credentials.json"
     secret.write_text("a token")
@@ -94,6 +96,7 @@ def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
     assert int(processes) < 10
 
 
+@EVERYWHERE
 def test_without_network_nothing_answers(isolated: Bench) -> None:
     with socket.create_server(("0.0.0.0", 0)) as decoy:
         port = decoy.getsockname()[1]
@@ -124,12 +127,14 @@ def test_exit_codes_are_kept(bench: Bench, code: int) -> None:
     assert str(code) in ending.message
 
 
+@EVERYWHERE
 def test_a_crash_is_told(bench: Bench) -> None:
     _, ending = bench.run("import os; os.kill(os.getpid(), 11)")
     assert (ending.reason, ending.exit_code) == (EndReason.signal, 139)
     assert "SIGSEGV" in ending.message
 
 
+@EVERYWHERE
 def test_a_command_that_is_not_there(bench: Bench) -> None:
     with pytest.raises(CannotStart, match="/usr/bin/nonsense") as caught:
         bench.executor.start(bench.work(["/usr/bin/nonsense"]))
@@ -137,6 +142,7 @@ def test_a_command_that_is_not_there(bench: Bench) -> None:
 
 
 @pytest.mark.slow
+@EVERYWHERE
 def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
     _, ending = bench.run(
         "import time\nheld = []\nwhile True: held.append(bytearray(b'x' * 5_000_000)); time.sleep(0.01)",
@@ -194,6 +200,7 @@ def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
     assert time.monotonic() - began < GRACE_S + 2
 
 
+@EVERYWHERE
 def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
     text = (
         "import signal, sys, time\n"
@@ -315,6 +322,7 @@ def knock(host, port, said=b''):
 """
 
 
+@EVERYWHERE
 def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Bench) -> None:
     with contextlib.ExitStack() as stack:
         api, store, decoy = (stack.enter_context(socket.create_server(("0.0.0.0", 0))) for _ in range(3))
