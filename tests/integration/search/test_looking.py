@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from kleinkram.server.search import looking
+from kleinkram.server.search import looking, words
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 from tests.integration.sample import Sample
@@ -79,3 +79,42 @@ def test_a_list_asks_as_often_for_many_rows_as_for_one(full: Api, path: str, que
             full.get(path, asked).ok()
         counts.append(len(statements))
     assert counts[0] == counts[1] <= 10
+
+
+@pytest.fixture(name="spread", scope="module")
+def _spread(start_api: StartApi) -> tuple[Api, str]:
+    """An API, and a word that is said in every place there is, each time of something else."""
+    api, word = start_api(), f"w{uuid.uuid4().hex[:12]}"
+    sample = Sample(api)
+    plain = api.project(name=f"plain {uuid.uuid4().hex}")["id"]
+    named = api.project(name=f"in {word} project")["id"]
+    for number in range(3):
+        in_project = api.mission(named, name=f"a {number}")["id"]
+        by_name = api.mission(plain, name=f"{word} {number}")["id"]
+        by_metadata = api.mission(plain, name=f"b {number}", metadata={"place": [f"near {word.upper()}"]})["id"]
+        by_field = api.mission(plain, name=f"c {number}", metadata={word: "nothing"})["id"]
+        for mission in (in_project, by_name, by_metadata, by_field):
+            sample.file(mission, "a.mcap", topics=[{"name": "/imu"}])
+        sample.file(by_field, f"{word}_{number}.mcap")
+        sample.file(by_field, "topic.mcap", topics=[{"name": f"/{word}/{number}"}])
+        sample.file(by_field, "label.mcap", labels=(f"of {word}",))
+    api.mission(plain, name=f"empty {word}")
+    return api, word
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("_MOST", 500), ("_MOST", 1), ("_MOST", 0), ("_COMMON", 10_000), ("_FEW", 2)]
+)
+def test_however_much_was_looked_up_the_same_is_found(
+    spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch, name: str, value: int
+) -> None:
+    api, word = spread
+    monkeypatch.setattr(looking if name == "_FEW" else words, name, value)
+    monkeypatch.setattr(words, "_FILES_DRAWN", 5)
+    monkeypatch.setattr(words, "_MISSIONS_DRAWN", 5)
+    asked = ((word, 18, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
+    for query, files, missions in asked:
+        found = api.get("/search", {"query": query}).ok()
+        assert (found["files"]["total"], found["missions"]["total"]) == (files, missions), query
+        assert len(found["files"]["items"]) == files
+        assert len(found["missions"]["items"]) == missions
