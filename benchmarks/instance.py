@@ -1,0 +1,83 @@
+"""The instance that is measured: started and ended here, spoken with by `klein`, and left to come to rest."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+ROOT = Path(__file__).resolve().parent.parent
+STAGE = ROOT / ".bench"
+DATA = STAGE / "data"
+KLEIN = Path(sys.executable).parent / "klein"
+GB = 1_000_000_000
+
+
+def variables() -> dict[str, str]:
+    """Return the environment of everything that runs here."""
+    homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
+    # Proving goes at full speed between two runs, rather than slowly beside them;
+    # and nobody is asked to wait for having asked too often.
+    limits = ("SIGN_INS", "SEARCHES")
+    unbounded = {f"KLEINKRAM_{what}_PER_MINUTE": "0" for what in limits}
+    at_once = {"KLEINKRAM_PROVING_BYTES_PER_S": "2000000000"}
+    return {**os.environ, **homes, **at_once, **unbounded, "KLEINKRAM_DATA_DIR": str(DATA)}
+
+
+def klein(*arguments: str) -> str:
+    """Run one command."""
+    command = [str(KLEIN), *arguments]
+    return subprocess.run(command, env=variables(), check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+@contextmanager
+def instance() -> Iterator[dict[str, str]]:
+    """Run an instance; yields the environment by which a side reaches API and store."""
+    process = subprocess.Popen([str(KLEIN), "up"], env=variables(), stdout=subprocess.PIPE, text=True)
+    try:
+        if not (process.stdout and process.stdout.readline()):
+            raise SystemExit("Kleinkram did not start")
+        worker = psutil.Process(told()["parts"]["worker"])
+        inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
+        yield {**variables(), **inherited}
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=60)
+
+
+def told() -> dict[str, Any]:
+    """Return what the instance says of itself."""
+    facts: dict[str, Any] = json.loads((DATA / "instance.json").read_text())
+    return facts
+
+
+def settle() -> None:
+    """Wait until no job waits or runs, so that nothing runs beside a measurement."""
+    while True:
+        with urllib.request.urlopen(f"{told()['url']}/metrics", timeout=10) as answer:
+            lines = answer.read().decode().splitlines()
+        busy = [
+            line for line in lines if line.startswith("kleinkram_jobs{") and ('"todo"' in line or '"doing"' in line)
+        ]
+        if (
+            sum(float(line.rsplit(" ", 1)[1]) for line in busy if "finish_uploads" not in line and "sweep" not in line)
+            == 0
+        ):
+            return
+        time.sleep(0.2)
+
+
+def mission_with(name: str, source: Path) -> str:
+    """Upload a file into a new mission; returns the mission's id."""
+    klein("upload", "-p", "bench", "-m", name, "--create", str(source))
+    settle()
+    found = json.loads(klein("mission", "info", name, "-p", "bench", "--json"))
+    return str(found["mission"]["id"])
