@@ -7,7 +7,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from kleinkram.server.backup import creating
+from kleinkram.server.backup import creating, locking
 from kleinkram.server.backup import hold as hold_module
 from kleinkram.server.backup.copying import side_by_side
 from kleinkram.server.backup.failing import (
@@ -136,17 +136,24 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     assert (found.snapshots, found.damage.first, found.unused) == (1, [], 0)
 
 
-@pytest.mark.slow
-def test_a_bucket_keeps_backups_too(
-    lived_in: Api, sites: Sites, store: RunningStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = settings_of(lived_in)
-    place = f"s3://{store.create_bucket()}/klein"
-    with pytest.raises(CannotBeMeant, match="KLEINKRAM_BACKUP_S3_URL"):
-        back_up(source, place)
+@pytest.fixture
+def in_bucket(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A place for backups in a bucket of its own, and in the environment how to get there."""
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_URL", store.endpoint)
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_ACCESS_KEY", store.access_key)
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_SECRET_KEY", store.secret_key)
+    return f"s3://{store.create_bucket()}/klein"
+
+
+@pytest.mark.slow
+def test_a_bucket_keeps_backups_too(
+    lived_in: Api, sites: Sites, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, place = settings_of(lived_in), in_bucket
+    with monkeypatch.context() as bare:
+        bare.delenv("KLEINKRAM_BACKUP_S3_URL")
+        with pytest.raises(CannotBeMeant, match="KLEINKRAM_BACKUP_S3_URL"):
+            back_up(source, place)
     with pytest.raises(NothingThere):
         look(place)
     assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 7
@@ -157,6 +164,34 @@ def test_a_bucket_keeps_backups_too(
     with sites.empty() as target:
         fill(target, place, passphrase="p")
         assert contents(target) == contents(source)
+
+
+def test_who_was_taken_for_gone_says_and_removes_nothing_more(
+    lived_in: Api, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = settings_of(lived_in)
+    first = back_up(source, in_bucket)
+
+    async def come_later(*what: Any) -> None:
+        """Do it, and then let somebody else come after ten minutes of silence."""
+        await side_by_side(*what)
+        monkeypatch.setattr(locking, "_STALE_S", -1)
+        async with open_place(in_bucket) as shelf, at_work(shelf, alone=True):
+            pass
+
+    async def snapshots_and_forget() -> list[str]:
+        async with open_place(in_bucket) as shelf, at_work(shelf, alone=True) as mine:
+            await mine.confirm()
+            async with at_work(shelf, alone=True):
+                pass
+            with pytest.raises(InTheWay, match="somebody else may have been at work"):
+                await mine.confirm()
+            return [item.path async for item in shelf.listed("snapshots/")]
+
+    monkeypatch.setattr(creating, "side_by_side", come_later)
+    with pytest.raises(InTheWay, match="somebody else may have been at work"):
+        back_up(source, in_bucket)
+    assert asyncio.run(snapshots_and_forget()) == [f"snapshots/{first.snapshot.id}.json"]
 
 
 def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:

@@ -18,7 +18,7 @@ from kleinkram.server.backup.copying import Copier, Lister, Tally, side_by_side
 from kleinkram.server.backup.dumping import WantedList, copy_table, facts, one_moment, sequences
 from kleinkram.server.backup.failing import CannotWrite, InTheWay, Unreachable
 from kleinkram.server.backup.hold import holding_back
-from kleinkram.server.backup.locking import at_work
+from kleinkram.server.backup.locking import Presence, at_work
 from kleinkram.server.backup.pace import Pace, amount, telling
 from kleinkram.server.backup.repository import Repository, make_repository, open_place
 from kleinkram.server.backup.shelf import Shelf
@@ -55,13 +55,13 @@ async def create(settings: Settings, making: Making) -> Made:
     """
     async with open_place(making.place) as shelf:
         await _begin(shelf, making)
-        async with at_work(shelf, alone=False):
+        async with at_work(shelf, alone=False) as presence:
             repository = await make_repository(shelf, making.passphrase, sealed=making.sealed)
             try:
                 with _room_for_list():
                     listed = WantedList()
                 with contextlib.closing(listed) as wanted:
-                    return await _create(settings, making, repository, wanted)
+                    return await _create(settings, making, repository, wanted, presence)
             except psycopg.Error as error:
                 reason = str(error).strip().partition("\n")[0]
                 raise Unreachable(
@@ -77,7 +77,9 @@ async def _begin(shelf: Shelf, making: Making) -> None:
             await shelf.tidy()
 
 
-async def _create(settings: Settings, making: Making, repository: Repository, wanted: WantedList) -> Made:
+async def _create(
+    settings: Settings, making: Making, repository: Repository, wanted: WantedList, presence: Presence
+) -> Made:
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     tally = Tally()
 
@@ -107,6 +109,7 @@ async def _create(settings: Settings, making: Making, repository: Repository, wa
             )
             await side_by_side(wanted.groups(), copier.copy, making.at_once)
         await hold.confirm()
+        await presence.confirm()
         snapshot = Snapshot(
             id=f"{created_at:%Y%m%dT%H%M%SZ}-{secrets.token_hex(3)}",
             created_at=created_at,

@@ -28,7 +28,7 @@ async def forget(place: str, passphrase: str | None, *, keep: int) -> Forgotten:
     """
     if keep < 1:
         raise CannotBeMeant("--keep must be at least 1: remove the folder itself where no backup is wanted.")
-    async with open_place(place) as shelf, at_work(shelf, alone=True):
+    async with open_place(place) as shelf, at_work(shelf, alone=True) as presence:
         repository = await open_repository(shelf, passphrase)
         await shelf.tidy()
         ids = await repository.snapshot_ids()
@@ -41,10 +41,12 @@ async def forget(place: str, passphrase: str | None, *, keep: int) -> Forgotten:
                 raise Damaged(f"Nothing was removed, since the backup {snapshot_id} cannot be read: {error}") from None
         # The documents first: what is left of a run that ended in between names nothing that is gone.
         for snapshot_id in old:
+            await presence.confirm()
             await repository.forget_snapshot(snapshot_id)
         await shelf.settle()
         removed = removed_bytes = 0
         for name, size_bytes in names.unmarked():
+            await presence.confirm()
             await shelf.delete(repository.path(name))
             removed, removed_bytes = removed + 1, removed_bytes + size_bytes
         await shelf.settle()

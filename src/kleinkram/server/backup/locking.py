@@ -1,7 +1,8 @@
 """Who is at work in a repository: many may read and add at once, who removes is alone.
 
 In a folder the kernel keeps the lock, and gives it back however its holder ends. In a bucket everybody leaves a note,
-renewed while they live; one that was not renewed for ten minutes of the store's own clock counts for nothing.
+renewed while they live; one that was not renewed for ten minutes of the store's own clock counts for nothing, and is
+removed by whoever comes next. So who finds their own note gone was taken for gone, and does nothing more there.
 """
 
 import asyncio
@@ -22,8 +23,32 @@ _RENEWED_EVERY_S = 60.0
 _STALE_S = 600.0
 
 
+class Presence:
+    """Somebody at work in a place; in a bucket, `note` is how others know."""
+
+    def __init__(self, shelf: Shelf, note: str | None = None) -> None:
+        self._shelf = shelf
+        self._note = note
+
+    async def is_believed(self) -> bool:
+        """Whether nobody took them for gone."""
+        return self._note is None or self._note in {item.path async for item in self._shelf.listed(_NOTES)}
+
+    async def confirm(self) -> None:
+        """See that nobody took them for gone: before anything is said or removed that is not to be taken back.
+
+        Raises:
+            InTheWay: somebody did, as after ten minutes of silence, and may have changed what is there.
+        """
+        if not await self.is_believed():
+            raise InTheWay(
+                f"Nothing was heard of this for ten minutes (was the machine asleep?), so that somebody else may have "
+                f"been at work on the backups in {self._shelf.name}: run it again, what was copied stays."
+            )
+
+
 @asynccontextmanager
-async def at_work(shelf: Shelf, *, alone: bool, begins: bool = False) -> AsyncGenerator[None, None]:
+async def at_work(shelf: Shelf, *, alone: bool, begins: bool = False) -> AsyncGenerator[Presence, None]:
     """Be at work in a place, `alone` or beside others; a folder is made for who `begins` there.
 
     Raises:
@@ -32,10 +57,10 @@ async def at_work(shelf: Shelf, *, alone: bool, begins: bool = False) -> AsyncGe
     """
     if isinstance(shelf, FolderShelf):
         with _held(Path(shelf.name), alone=alone, begins=begins):
-            yield
+            yield Presence(shelf)
         return
-    async with _noted(shelf, alone=alone):
-        yield
+    async with _noted(shelf, alone=alone) as presence:
+        yield presence
 
 
 @contextlib.contextmanager
@@ -68,7 +93,7 @@ def _open(path: Path, *, alone: bool) -> int:
 
 
 @asynccontextmanager
-async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
+async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[Presence, None]:
     own = f"{_NOTES}{'alone' if alone else 'beside'}-{secrets.token_hex(8)}"
     await shelf.put(own, _empty(), 0)
     try:
@@ -80,9 +105,10 @@ async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
             raise InTheWay(_busy(shelf.name))
         for path in notes.keys() - {own, *others}:
             await shelf.delete(path)
-        renewing = asyncio.create_task(_renew(shelf, own))
+        presence = Presence(shelf, own)
+        renewing = asyncio.create_task(_renew(shelf, own, presence))
         try:
-            yield
+            yield presence
         finally:
             renewing.cancel()
             await asyncio.gather(renewing, return_exceptions=True)
@@ -90,10 +116,12 @@ async def _noted(shelf: Shelf, *, alone: bool) -> AsyncGenerator[None, None]:
         await shelf.delete(own)
 
 
-async def _renew(shelf: Shelf, own: str) -> None:
+async def _renew(shelf: Shelf, own: str, presence: Presence) -> None:
     while True:
         await asyncio.sleep(_RENEWED_EVERY_S)
         with contextlib.suppress(BackupError):  # a place that stays away ends the work itself
+            if not await presence.is_believed():
+                return
             await shelf.put(own, _empty(), 0)
 
 
