@@ -23,15 +23,19 @@ STOCK = "kleinkram/action-python:latest"
 @pytest.fixture
 def containers(docker: Dockerd, terminal: Terminal, tmp_path: Path) -> Terminal:  # noqa: F811  the fixture
     """A terminal beside an engine that has an image with open-kleinkram, under the name of the stock image."""
-    context = tmp_path / "base"
+    add_stock(docker, tmp_path / "base")
+    return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
+
+
+def add_stock(engine: Dockerd, context: Path) -> None:
+    """Build an image with open-kleinkram in a folder, and give it the stock image's name."""
     copy_package(context / "site")
     for library in sorted({each for file in context.rglob("*.so*") for each in libraries_of(file)}):
         target = context / "libs" / library[1:]
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(Path(library).resolve(), target)
     (context / "Dockerfile").write_text(f"FROM {engines.IMAGE}\nCOPY libs /\nCOPY site /site\nENV PYTHONPATH=/site\n")
-    docker.docker("build", "--quiet", "--tag", STOCK, str(context))
-    return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
+    engine.docker("build", "--quiet", "--tag", STOCK, str(context))
 
 
 def copy_package(site: Path) -> None:
@@ -50,6 +54,9 @@ def copy_package(site: Path) -> None:
             if ".." not in file.parts and file.suffix != ".pyc":
                 (site / file).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(str(distribution.locate_file(file)), site / file)
+    told = site / f"open_kleinkram-{ours.version}.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text(ours.read_text("METADATA") or "")
     package = Path(kleinkram.__file__).parent
     shutil.copytree(package, site / "kleinkram", ignore=shutil.ignore_patterns("server", "__pycache__"))
 

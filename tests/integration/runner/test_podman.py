@@ -1,0 +1,51 @@
+"""Where Podman differs from Docker, as the page on security of runs says."""
+
+from __future__ import annotations
+
+import pytest
+
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.docker.executor import DockerExecutor
+from tests.integration.runner.conftest import Bench, log_of
+from tests.integration.runner.test_docker import COUNTS
+
+pytestmark = [pytest.mark.soak, pytest.mark.parametrize("bench", ["podman"], indirect=True)]
+
+
+@pytest.mark.parametrize("folder", ["/run", "/var/tmp"])
+def test_what_is_written_to_its_memory_counts_as_the_runs(bench: Bench, folder: str) -> None:
+    text = f"open('{folder}/one', 'w').close(); print('made', flush=True)\n"
+    text += f"with open('{folder}/large', 'wb') as large:\n    while True: large.write(bytes(1_000_000))"
+    work, ending = bench.run(text, memory_bytes=100_000_000)
+    assert (ending.reason, log_of(work)) == (EndReason.memory, "made\n")
+
+
+def test_it_gives_no_gpus(bench: Bench) -> None:
+    assert not bench.executor.abilities.gpus
+
+
+@pytest.mark.parametrize(("words", "reason"), [(["kill"], EndReason.lost), (["stop", "-t", "3"], EndReason.signal)])
+def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> None:
+    assert bench.engine is not None
+    work = bench.work(COUNTS)
+    bench.executor.start(work)
+    bench.engine.docker(*words, f"kleinkram-{work.key}")
+    assert bench.end_of(work).reason is reason
+
+
+def test_it_may_remember_nothing(bench: Bench) -> None:
+    """Whether somebody ended a container is not known then; how it ended is."""
+    assert bench.engine is not None
+    settings = bench.engine.folder / "containers.conf"
+    before = settings.read_text()
+    try:
+        bench.engine.kill()
+        settings.write_text(before.replace('events_logger = "file"', 'events_logger = "none"'))
+        bench.engine.start()
+        bench.executor = DockerExecutor(bench.engine.engine)
+        _, ending = bench.run("raise SystemExit(3)")
+        assert (ending.reason, ending.exit_code) == (EndReason.exit_code, 3)
+    finally:
+        settings.write_text(before)
+        bench.engine.kill()
+        bench.engine.start()
