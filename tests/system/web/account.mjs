@@ -1,5 +1,5 @@
 // One's own account and forms: a password is changed, a provider unlinked, a mission made whose form says what is refused,
-// and an admin reads why a job failed. Prints as JSON what was seen. Arguments: the folder with playwright-core and
+// and an admin reads why a job failed and has the store scrubbed. Prints as JSON what was seen. Arguments: the folder with playwright-core and
 // axe-core, the browser, a link that signs the owner in, the server's address, the address and the password of somebody
 // with a provider, the id of a project, where pictures go.
 import { openBrowser } from "./browsing.mjs";
@@ -104,4 +104,18 @@ seen.mission = await owner.locator("[data-metadata]").innerText();
 await owner.goto(`${address}/admin?tab=jobs`);
 await owner.getByText("ValueError: badly formed").waitFor();
 await look(owner, "admin-jobs-failed");
+
+// Whether the store still has all.
+await owner.goto(`${address}/admin?tab=scrub`);
+const scrub = owner.locator("[data-scrub]");
+const told = (method, holds) => owner.waitForResponse(async (answer) =>
+  answer.url().endsWith("/admin/scrub") && answer.request().method() === method && holds(await answer.json()));
+let asked = "";
+const begun = told("POST", ({ id }) => (asked = id) !== "");
+const ended = told("GET", ({ last }) => last?.id === asked && last.ended_at !== null);
+await scrub.getByRole("button", { name: "Scrub now" }).click();
+await Promise.all([begun, ended]);
+await scrub.getByText("Done", { exact: true }).waitFor();
+seen.scrub = await scrub.innerText();
+await look(owner, "admin-scrub");
 await tell();

@@ -244,7 +244,7 @@ await look(page, "sessions", { path: "/sessions" });
 await look(page, "audit", { path: "/audit", shows: [project] });
 await look(page, "audit-groups", { path: "/audit?operation=group.*", shows: [texts.group] });
 await look(page, "trash", { path: "/trash", shows: [texts.gone, project] });
-for (const tab of ["storage", "jobs", "health", "settings"]) await look(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
+for (const tab of ["storage", "scrub", "jobs", "health", "settings"]) await look(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
 await look(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allows: REFUSED });
 await look(page, "signed-in", { path: "/signed-in", allows: OPEN });
 

@@ -1,4 +1,4 @@
-"""One's own account, a mission made by a form, and why a job failed, in a real browser."""
+"""One's own account, a mission made by a form, why a job failed and a scrub, in a real browser."""
 
 import json
 from pathlib import Path
@@ -59,6 +59,8 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     seen = act("account.mjs", house, _EMAIL, _PASSWORD, project, pictures)
 
     assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
+    assert "Compared\n0 objects" in seen["scrub"]
+    assert "Newly lost\n0" in seen["scrub"]
     assert "ada@lab.example by your invitation" in seen["account"]
     assert "This server signs nobody in by it any more." in seen["account"]
     assert seen["tooShort"] == "It takes at least 10 characters."

@@ -20,7 +20,7 @@ export const needTones: Readonly<Record<Need, Tone>> = {
 
 /** Returns the view in which something is seen and mended: the mission's own, or for the whole server the admin's. */
 export function placeOf({ need, mission }: Attention): RouteLocationRaw {
-  if (mission === null || mission === undefined) return { name: "admin" };
+  if (mission === null || mission === undefined) return { name: "admin", query: need === "scrub_stopped" ? { tab: "scrub" } : {} };
   const query = need === "metadata_missing" ? {} : { tab: "problems" };
   return { name: "mission", params: { missionId: mission.id }, query };
 }
