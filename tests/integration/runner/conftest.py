@@ -107,6 +107,13 @@ def podman() -> Iterator[Podman]:
         yield made
 
 
+@pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
+def engine(request: pytest.FixtureRequest) -> Dockerd:
+    """Each engine of containers."""
+    made: Dockerd = request.getfixturevalue(request.param)
+    return made
+
+
 def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Bench:
     """Return somewhere to run things by an executor."""
     if executor == "process":

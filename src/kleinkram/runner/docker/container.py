@@ -13,7 +13,7 @@ RUNNER_LABEL = "kleinkram.runner"
 _PROCESSES = 1024
 # Of its user, who is the runner itself where that is not root: `_PROCESSES` is what bounds a run.
 _PROCESSES_OF_USER = 2**15
-# Many programs, all of ROS 1 among them, go through as many as they may have open, at each start of another program.
+# Old programs go through all that they may have open whenever they start another one: a million make them slow.
 _OPEN_FILES = 2**16
 _SHARED_MEMORY_BYTES = 64 * 2**20
 # A file may be so much larger than what all may be: else nobody could tell that it was the disk.
