@@ -54,8 +54,8 @@ def live(life: Machine, history: str) -> None:
         "announce": lambda: announced.append(cast("Upload", life.announce("a.bin", b"one", hashed=True))),
         "announce another": lambda: life.announce("a.bin", b"another", hashed=True),
         "send": lambda: life.send(announced[0]),
-        "cut": lambda: life.swallow(announced[0], "cut"),
-        "swallow": lambda: life.swallow(announced[0], "gone"),
+        "keep a part": lambda: life.swallow(announced[0], "cut"),
+        "keep nothing": lambda: life.swallow(announced[0], "gone"),
         "abort": lambda: life.abort(announced[0]),
         "complete": lambda: life.complete(announced[0]),
         "bring": lambda: life.bring("a.bin", b"one"),
@@ -83,7 +83,7 @@ FAULTS = [
         "sizes.get(row.key) != row.size_bytes",
         "row.key not in sizes",
         "_complete",
-        "announce, send, cut, complete",
+        "announce, send, keep a part, complete",
     ),
     Fault(
         "complete does not look whether anything came",
@@ -91,7 +91,7 @@ FAULTS = [
         "failures = await join_at_store(site.storage, rows)",
         "failures = {}",
         "_complete",
-        "announce, send, swallow, complete",
+        "announce, send, keep nothing, complete",
     ),
     Fault(
         "complete takes up what was broken off",

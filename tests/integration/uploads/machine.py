@@ -181,7 +181,14 @@ class Machine(RuleBasedStateMachine):
 
     # What a store does that lies.
 
-    @rule(upload=uploads, what=st.sampled_from(["gone", "cut"]))
+    @rule(path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES), what=st.sampled_from(["gone", "cut"]))
+    def bring_in_vain(self, path: str, body: bytes, what: str) -> None:
+        """Upload a file of which less is kept than was sent, or nothing."""
+        upload = self._begin(path, body, hashed=True)
+        self._send(upload)
+        self.swallow(upload, what)
+        self._complete(upload)
+
     def swallow(self, upload: Upload, what: str) -> None:
         """Keep less than what was sent of an upload that is open, or nothing."""
         if not upload[0] or self._state(upload[0]) != "open" or (key := self._key(upload[0])) not in self._keys():
