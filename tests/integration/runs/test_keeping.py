@@ -3,11 +3,14 @@
 import threading
 import uuid
 
+import pytest
+
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.events.hub import MOST_STREAMS
 from kleinkram.server.runs.jobs import tend_once
 from kleinkram.server.site import Site
+from kleinkram.server.storage import Storage
 from tests.integration import people
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
@@ -123,6 +126,40 @@ def test_a_log_is_read_while_it_grows(lab: Api, runner: Played, place: Place) ->
     runner.finish(claim).ok()
     following.join(timeout=30)
     assert "".join(pieces).encode() == text
+
+
+def test_a_piece_of_a_log_that_goes_while_it_is_read_is_looked_for_anew(
+    lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = launch(lab, runner, place.mission)
+    runner.write(runner.claim(), 0, b"a line\n")
+    read, gone = Storage.read_range, [True]
+
+    async def read_range(self: Storage, key: str, **what: int) -> bytes:
+        if gone and gone.pop():  # as when the log was joined just then, and its pieces let go
+            raise FileNotFoundError(key)
+        return await read(self, key, **what)
+
+    monkeypatch.setattr(Storage, "read_range", read_range)
+    assert lab.get(f"/runs/{made['id']}/log").ok()["text"] == "a line\n"
+
+
+def test_a_log_that_the_store_has_lost_is_said_to_be_away(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    runner.write(runner.claim(), 0, b"a line\n")
+    ((key,),) = lab.sql("SELECT key FROM log_segment WHERE run_id = %s", made["id"])
+    on_site(lab, lambda site: site.storage.delete(key))
+    lab.get(f"/runs/{made['id']}/log").refused(503, "store_unavailable")
+
+
+def test_how_a_run_ended_is_told_to_its_own_runner_only(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    runner.finish(claim).ok()
+    runner.finish(claim).ok()
+    other = people.person(lab)
+    stranger = Played(lab.as_(people.token(lab, other, [Scope.run], kind=TokenKind.runner).secret))
+    stranger.finish(claim).refused(409, "run_gone")
 
 
 def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:

@@ -164,8 +164,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, said: R
     Raises:
         RunGone: the runner does not hold the run by this attempt, and did not end it.
     """
-    ended = select(run.c.state).where(run.c.id == run_id, run.c.attempt == said.attempt, run.c.ended_at.is_not(None))
-    over = (await db.execute(ended)).scalar_one_or_none()
+    over = (await db.execute(queries.ended_run(actor, run_id, said.attempt))).scalar_one_or_none()
     if over is not None:
         return RunFinished(state=RunState(over))
     row = await hold(db, actor, run_id, said.attempt)

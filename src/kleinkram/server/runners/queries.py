@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import ARRAY, Row, Select, Text, func, literal, or_, select
+from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, func, literal, or_, select
 
 from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, Isolation, RunnerRead
 from kleinkram.server.access.actor import Actor
@@ -92,6 +92,15 @@ def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[An
 
 def held_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
     """Return a run that a runner of this person's holds by this attempt, locked."""
-    owned = select(runner.c.id).where(runner.c.person_id == actor.person_id)
-    current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & run.c.runner_id.in_(owned)
+    current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)
+
+
+def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
+    """Return the state of a run that is over and whose last runner, of this person's, had it by this attempt."""
+    current = (run.c.attempt == attempt) & run.c.ended_at.is_not(None) & _is_of(actor)
+    return select(run.c.state).where(run.c.id == run_id, current)
+
+
+def _is_of(actor: Actor) -> ColumnElement[bool]:
+    return run.c.runner_id.in_(select(runner.c.id).where(runner.c.person_id == actor.person_id))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import func, select
 
+from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.runs import LogPiece
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
@@ -40,14 +41,22 @@ async def read_log(site: Site, hub: Hub, actor: Actor, *, run_id: uuid.UUID, off
         StoreUnavailable: the store does not answer.
     """
     until = time.monotonic() + wait_s
+    missing: str | None = None
     with hub.listening(None, after=None) as listener:
         while True:
             async with site.database.begin() as db:
                 place = await _find(db, actor, run_id, offset)
             left_s = until - time.monotonic()
             if place.length or place.is_over or left_s <= 0 or hub.is_over:
-                return await _piece(site, place, offset)
-            await hub.hear_of(listener, _SOON, at_most_s=min(left_s, _LOOK_EVERY_S))
+                piece = await _piece(site, place, offset)
+                if piece is not None:
+                    return piece
+                # It may have been joined to the whole log just then: where it is now, the database says.
+                if missing == place.key:
+                    raise StoreUnavailable(reason="it does not have this piece of the log")
+                missing = place.key
+            else:
+                await hub.hear_of(listener, _SOON, at_most_s=min(left_s, _LOOK_EVERY_S))
 
 
 async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:
@@ -73,10 +82,14 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
     return _Place(row.attempt, is_over, size, segment.key, begins, length)
 
 
-async def _piece(site: Site, place: _Place, offset: int) -> LogPiece:
+async def _piece(site: Site, place: _Place, offset: int) -> LogPiece | None:
+    """Return what is at a place; None where the store has no such object."""
     data = b""
     if place.key is not None and place.length:
-        data = await site.storage.read_range(place.key, offset=place.begins, size_bytes=place.length)
+        try:
+            data = await site.storage.read_range(place.key, offset=place.begins, size_bytes=place.length)
+        except FileNotFoundError:
+            return None
     is_last = offset + len(data) >= place.size_bytes
     if not (is_last and place.is_over):
         data = _whole_lines(data)
