@@ -16,7 +16,7 @@ from kleinkram.server.access.actor import find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.db import Connection
-from kleinkram.server.files import service as files
+from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas.service import Amount, require_room
 from kleinkram.server.recordings.service import regroup
@@ -71,7 +71,7 @@ async def _make_all(
     problems, made = [], {}
     for each in wanted:
         try:
-            await files.check_path_free(db, row.mission_id, each.to)
+            await check_path_free(db, row.mission_id, each.to)
         except KleinkramError as error:
             problems.append(f"{each.path} was not put back: {error}")
             continue

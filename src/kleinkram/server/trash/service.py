@@ -13,7 +13,7 @@ from kleinkram.contract.trash import TrashNoun, TrashRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.files.service import check_path_free
+from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room, require_room_for_mission

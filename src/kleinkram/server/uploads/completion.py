@@ -40,6 +40,7 @@ from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
+from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
@@ -168,7 +169,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
     rows = [row for row in rows if row.id in still]
     existing = await queries.live_files(db, mission_id, [row.path_key for row in rows])
     paths = [row.path for row in rows]
-    met = await files.path_conflicts(db, mission_id, paths)
+    met = await path_conflicts(db, mission_id, paths)
     conflicts = as_shown(met, may_read=Scope.read in actor.scopes)
     conflicts |= {paths[place]: other for place, other in first_come(paths).items()}
     failures: Failures = {}

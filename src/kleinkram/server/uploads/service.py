@@ -45,6 +45,7 @@ from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
+from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
@@ -115,7 +116,7 @@ async def _decide_all(
         uploads=await queries.active_uploads(db, mission_id, keys),
         twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
         twins=await queries.twins(db, actor, contents) if contents else {},
-        conflicts=as_shown(await files.path_conflicts(db, mission_id, paths), may_read=may_read),
+        conflicts=as_shown(await path_conflicts(db, mission_id, paths), may_read=may_read),
     )
     crowded = first_come(paths)
     decisions = [

@@ -1,0 +1,48 @@
+"""Which paths can stand side by side in a mission: no name twice, and no file where another needs a folder."""
+
+import uuid
+from collections.abc import Collection
+
+from kleinkram.contract.errors import NameTaken, PathConflict
+from kleinkram.contract.names import name_key
+from kleinkram.server.db import Connection
+from kleinkram.server.files import queries
+
+
+async def path_conflicts(
+    db: Connection, mission_id: uuid.UUID, paths: Collection[str], *, except_id: uuid.UUID | None = None
+) -> dict[str, str]:
+    """Return those of `paths` that cannot stand beside a mission's files, each with the file that it meets.
+
+    Such a path needs a folder where there is a file, or is a folder itself. A file of the same path is no conflict
+    here, nor is one of `paths` for another. Two queries, however many paths; the caller holds the mission's lock.
+    """
+    above = {path: _folders(path) for path in paths}
+    blocking = await db.execute(
+        queries.files_at(mission_id, {key for keys in above.values() for key in keys}, except_id=except_id)
+    )
+    files = {row.path_key: row.path for row in blocking}
+    found = {path: files[key] for path, keys in above.items() for key in keys if key in files}
+    keys = sorted({name_key(path) for path in paths})
+    below = {row.key: row.path for row in await db.execute(queries.files_below(mission_id, keys, except_id=except_id))}
+    return found | {path: below[name_key(path)] for path in paths if name_key(path) in below}
+
+
+def _folders(path: str) -> list[str]:
+    parts = name_key(path).split("/")
+    return ["/".join(parts[:count]) for count in range(1, len(parts))]
+
+
+async def check_path_free(
+    db: Connection, mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None = None
+) -> None:
+    """See that a file may stand at `path`; the caller holds the mission's lock, so that it stays true.
+
+    Raises:
+        NameTaken: there is a file of that path, letter case and Unicode form apart.
+        PathConflict: the path is a folder there, or needs a folder where a file is.
+    """
+    if (await db.execute(queries.files_at(mission_id, [name_key(path)], except_id=except_id))).first() is not None:
+        raise NameTaken(noun="file", name=path)
+    if other := (await path_conflicts(db, mission_id, [path], except_id=except_id)).get(path):
+        raise PathConflict(path=path, other=other)
