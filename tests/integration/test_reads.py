@@ -41,8 +41,9 @@ class Watched:
         return self.count("state <> 'idle'") == 0
 
     def cut(self) -> None:
-        """End the sessions whose queries wait."""
-        assert self._of_sessions("count(pg_terminate_backend(pid))", "wait_event_type = 'Lock'") > 0
+        """End the sessions whose queries wait, and see them gone."""
+        gone = "count(*) FILTER (WHERE pg_terminate_backend(pid, 20000))"
+        assert self._of_sessions(gone, "wait_event_type = 'Lock'") > 0
 
     def _of_sessions(self, what: str, condition: str) -> int:
         name = self.api.database.info.dbname
