@@ -7,8 +7,9 @@ says where to begin and, where very many are found, about how many; nothing of r
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
-from sqlalchemy import CTE, and_, func, select, true
+from sqlalchemy import CTE, ColumnElement, Select, and_, func, select, true
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.words import phrases
@@ -20,10 +21,10 @@ from kleinkram.server.search.matching import file_conditions, narrow_files
 from kleinkram.server.search.words import file_holds, has_index, look_up
 from kleinkram.server.tables import blob, file, mission
 
-# Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a quarter.
-DRAWN, MANY = 1000, 20
+# Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
+DRAWN, MANY = 500, 10
 # Where each word by itself is in many, no index leads to the files that hold them all: these are then many sooner.
-_MANY_TOGETHER = 4
+_MANY_TOGETHER = 3
 _MISSIONS_DRAWN = 100
 _IDS = 2**128
 # Files that a search finds and that are named in what it asks besides.
@@ -69,18 +70,7 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     conditions = [and_(true(), *file_conditions(actor, each)) for each in filters]
     if actor.looked.finds_nothing:
         return actor, Outlook([0] * len(filters), 0, 0)
-    drawn = drawn_files()
-    timed = and_(conditions[0], blob.c.start_ns.is_not(None))
-    conditions += [file_holds(actor, word) for word in words]
-    seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
-    counted = seen.with_only_columns(
-        *(func.count().filter(each).label(f"hits_{number}") for number, each in enumerate(conditions)),
-        func.count().filter(timed).label("timed"),
-        select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
-        select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
-        maintain_column_froms=True,
-    )
-    row = (await db.execute(counted)).one()
+    row = (await db.execute(_tried(actor, [*conditions, *(file_holds(actor, word) for word in words)]))).one()
     hits, held = list(row[: len(filters)]), dict(zip(words, row[len(filters) :], strict=False))
     files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
     rarest = min(filter(has_index, words), key=lambda word: held[word], default=None)
@@ -92,6 +82,23 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     if outlook.finds_many():
         return replace(actor, looked=replace(actor.looked, finds_many=True)), outlook
     return replace(actor, looked=replace(actor.looked, led_by=rarest)), outlook
+
+
+def _tried(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[Any]:
+    """Return of how many files drawn each condition holds, of how many `timed` ones the first; and what was drawn."""
+    drawn = drawn_files()
+    holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
+    seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
+    tried = seen.with_only_columns(*holding, blob.c.start_ns, maintain_column_froms=True)
+    # With a limit the database tries each once, and not for each of the numbers anew.
+    each = tried.limit(DRAWN).subquery()
+    held = [each.c[condition.name] for condition in holding]
+    return select(
+        *(func.count().filter(condition) for condition in held),
+        func.count().filter(held[0], each.c.start_ns.is_not(None)).label("timed"),
+        select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
+        select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
+    )
 
 
 async def find_few(db: Connection, actor: Actor, matching: FileFilter) -> Actor:
