@@ -15,6 +15,8 @@ _PROCESSES = 1024
 _PROCESSES_OF_USER = 2**15
 # Old programs go through all that they may have open whenever they start another one: a million make them slow.
 _OPEN_FILES = 2**16
+# Podman has a timer look even for a check that is switched off.
+_HEALTH_EVERY_NS = 24 * 3600 * 10**9
 _SHARED_MEMORY_BYTES = 64 * 2**20
 # A file may be so much larger than what all may be: else nobody could tell that it was the disk.
 _FILE_BEYOND_DISK_BYTES = 64 * 2**20
@@ -37,7 +39,7 @@ def describe(work: Work, user: str, volumes: Sequence[str], runner: str) -> dict
         "Env": [f"{name}={value}" for name, value in environment.items()],
         "User": user,
         "Labels": {RUN_LABEL: work.key, RUNNER_LABEL: runner},
-        "Healthcheck": {"Test": ["NONE"]},
+        "Healthcheck": {"Test": ["NONE"], "Interval": _HEALTH_EVERY_NS},
         "HostConfig": {**_bounds(work), **_walls(work), "Mounts": _mounts(work, volumes)},
     }
 
