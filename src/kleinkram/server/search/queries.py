@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, and_, cast, distinct, func, null, select
+from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, and_, cast, distinct, func, null, select, true
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.searching import TopicFound
@@ -53,16 +53,20 @@ def topics_found(actor: Actor, matching: FileFilter, *, limit: int, drawn: bool)
     if drawn or matching != FileFilter():
         # Looked up once and first: what is found of the files says nothing of how many topics they have.
         found = found.prefix_with("MATERIALIZED")
-    # A blob names each topic once, so there is a row for each of its files.
-    name, message_type, file_count = topic.c.name, topic.c.message_type, func.count()
+    # A blob names each topic once, so there is a row for each of its files. Read blob by blob, and behind a fence: else
+    # the database may well go through all topics there are.
+    within = (
+        narrow_topics(select(topic).where(topic.c.blob_id == found.c.blob_id), matching).offset(0).lateral("within")
+    )
+    name, message_type, file_count = within.c.name, within.c.message_type, func.count()
     columns = (
         name,
         message_type,
         file_count.label("file_count"),
-        func.sum(topic.c.count).label("message_count"),
+        func.sum(within.c.count).label("message_count"),
         func.count().over().label("total"),
     )
-    grouped = narrow_topics(select(*columns).join_from(found, topic, topic.c.blob_id == found.c.blob_id), matching)
+    grouped = select(*columns).join_from(found, within, true())
     order = (words_in(name, matching).desc(), file_count.desc(), name, message_type)
     return grouped.group_by(name, message_type).order_by(*order).limit(limit)
 
