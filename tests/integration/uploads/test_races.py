@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram.server.uploads import queries
 from tests.integration.races import racing
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, fetch, send, upload
@@ -102,3 +103,23 @@ def test_a_lost_file_is_mended_once_by_whoever_comes_first(
     assert answers[link]["decision"] in {"present", "refused"}
     assert _read(api, mission_id) == [("run.bin", twin)]
     assert [file["id"] for file in api.all("/files", {"mission_id": mission_id})] == [linked["id"]]
+
+
+def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
+    api: Api, mission_id: str, twin: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = begin(api, mission_id, {"run.bin": twin})[0]["file"]["id"]
+    (blob_id,) = api.sql(
+        "UPDATE blob SET state = 'lost' FROM file WHERE blob_id = blob.id AND file.id = %s RETURNING blob.id", mine
+    )[0]
+    upload(api, api.mission(api.project()["id"])["id"], "good.bin", twin)
+    real = queries.twins
+
+    async def twins(*of: Any) -> Any:
+        found = await real(*of)
+        api.sql("UPDATE blob SET state = 'proven', md5 = %s, proven_at = now() WHERE id = %s", bytes(16), blob_id)
+        return found
+
+    monkeypatch.setattr(queries, "twins", twins)
+    (decision,) = begin(api, mission_id, {"run.bin": twin})
+    assert (decision["decision"], decision["file"]["id"]) == ("present", mine)

@@ -41,7 +41,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.service import Event, record
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
@@ -49,12 +49,12 @@ from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
-from kleinkram.server.recordings.service import regroup
 from kleinkram.server.site import Site
-from kleinkram.server.tables import blob, file, mission, upload
+from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.rules import UNREADABLE, Decision, Known, Way, as_shown, content_of, decide, first_come
+from kleinkram.server.uploads.linking import link_twins
+from kleinkram.server.uploads.rules import Decision, Known, Way, as_shown, content_of, decide, first_come
 from kleinkram.server.uploads.signing_parts import is_multipart, renewed
 
 _AT_ONCE = 16
@@ -78,7 +78,7 @@ async def begin_uploads(
         await _take_over(db, decisions)
         await require_room(db, actor, project_id=await project_of(db, mission_id), asked=asked)
         decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
-        decisions = await _link_twins(db, actor, mission_id=mission_id, decisions=decisions)
+        decisions = await link_twins(db, actor, mission_id=mission_id, decisions=decisions)
         held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
         rows = await queries.locked_uploads(db, actor, held)
     try:
@@ -198,52 +198,6 @@ def _held(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
         return replace(decision, ref=upload_id)
     now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
     return replace(decision, way=Way.refuse, error=NameLeased(path=decision.wanted.path, lease_ends_at=now))
-
-
-async def _link_twins(
-    db: Connection, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
-) -> list[Decision]:
-    """Make files of blobs that are kept already; a file whose own blob is lost or corrupt gets the good one."""
-    linked = [decision for decision in decisions if decision.way is Way.link]
-    if not linked:
-        return decisions
-    rows = [
-        {
-            "id": uuid.uuid4(),
-            "mission_id": mission_id,
-            "blob_id": decision.ref,
-            "path": decision.wanted.path,
-            "path_key": name_key(decision.wanted.path),
-            "origin": "link",
-            "uploaded_by_id": actor.person_id,
-        }
-        for decision in linked
-    ]
-    statement = upsert(file).values(rows)
-    statement = statement.on_conflict_do_update(
-        index_elements=["mission_id", "path_key"],
-        index_where=file.c.deleted_at.is_(None),
-        set_={"blob_id": statement.excluded.blob_id},
-        # Only what nobody can read any more gives way; the lock on the mission keeps others out meanwhile.
-        where=file.c.blob_id.in_(select(blob.c.id).where(blob.c.state.in_(UNREADABLE))),
-    )
-    made = {row.path: row.id for row in await db.execute(statement.returning(file.c.path, file.c.id))}
-    project_id = (await missions.get_mission_row(db, actor, mission_id)).project_id
-    events = [
-        Event(
-            "file.link",
-            "file",
-            made[d.wanted.path],
-            d.wanted.path,
-            project_id,
-            after={"sha256": d.wanted.sha256},
-            mission_id=mission_id,
-        )
-        for d in linked
-    ]
-    await record_all(db, actor, events)
-    await regroup(db, mission_id)
-    return [replace(d, ref=made[d.wanted.path]) if d.way is Way.link else d for d in decisions]
 
 
 async def open_at_store(
