@@ -21,7 +21,7 @@ from tests.integration.uploads.machine import Machine, documented
 @pytest.fixture(name="machine", scope="module")
 def _machine(start_api: StartApi) -> Iterator[type[Machine]]:
     """The machine on an API of its own."""
-    api: Api = start_api(sweep_grace_s=0, part_url_s=1)
+    api: Api = start_api(sweep_grace_s=0)
     site = SiteThread(api)
     yield type("MachineHere", (Machine,), {"api": api, "site": site})
     site.close()
