@@ -32,7 +32,7 @@ def capacity_of(share: Share, folder: Path, *, used_bytes: int) -> Capacity:
     room = shutil.disk_usage(folder).free + used_bytes
     return Capacity(
         cores=share.cores or len(os.sched_getaffinity(0)),
-        memory_bytes=share.memory_bytes or int(_memory_bytes() * _MEMORY_SHARE),
+        memory_bytes=share.memory_bytes or int(memory_bytes() * _MEMORY_SHARE),
         disk_bytes=share.disk_bytes or int(room * _DISK_SHARE),
         gpus=share.gpus,
     )
@@ -53,7 +53,8 @@ def what_is_left(capacity: Capacity, held: list[Resources]) -> Capacity:
     )
 
 
-def _memory_bytes() -> int:
+def memory_bytes() -> int:
+    """Return the memory of this machine, or of the container this is in."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     with contextlib.suppress(OSError, ValueError):
         return min(total, int(_CGROUP.read_text()))

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from kleinkram.runner.machine import memory_bytes
 from kleinkram.standalone.binaries import PostgresBinaries
 from kleinkram.standalone.child import CALLER, Command, Identity, namespace_allowed, spawn
 from kleinkram.standalone.errors import DataDirUnusable, PartFailed, VersionMismatch
@@ -30,8 +31,6 @@ STOP_SIGNAL = signal.SIGINT
 _SETTINGS = {
     "listen_addresses": "127.0.0.1",
     "unix_socket_directories": "",
-    # Takes memory only as far as there is data to fill it.
-    "shared_buffers": "128MB",
     "max_connections": "40",
     "io_method": "sync",
     "jit": "off",
@@ -39,6 +38,7 @@ _SETTINGS = {
     "random_page_cost": "1.1",
     "autovacuum_max_workers": "1",
     "max_parallel_workers": "0",
+    "max_parallel_workers_per_gather": "0",
     "max_wal_size": "256MB",
     "min_wal_size": "32MB",
     "log_timezone": "UTC",
@@ -47,6 +47,8 @@ _SETTINGS = {
     "log_min_messages": "warning",
 }
 
+# Of the machine's memory, for the database's own cache of its files: taken only as far as there is data to fill it.
+_BUFFERS_SHARE, _LEAST_BUFFERS_MB, _MOST_BUFFERS_MB = 1 / 16, 128, 1024
 _PSQL_OPTIONS = ["-X", "-q", "-A", "-t", "-v", "ON_ERROR_STOP=1", "-f", "-", "-h", "127.0.0.1", "-U", ADMIN]
 
 
@@ -113,7 +115,9 @@ def start(cluster: PostgresCluster, *, extra: Mapping[str, str] | None = None) -
         PartFailed: processes of an earlier start still use the cluster.
     """
     _clear_stale_lock(cluster)
-    settings = {**_SETTINGS, "port": str(cluster.port), **(extra or {})}
+    buffers_mb = min(max(int(memory_bytes() * _BUFFERS_SHARE / 1e6), _LEAST_BUFFERS_MB), _MOST_BUFFERS_MB)
+    own = {"shared_buffers": f"{buffers_mb}MB", "port": str(cluster.port)}
+    settings = {**_SETTINGS, **own, **(extra or {})}
     if cluster.binaries.major < 18:
         del settings["io_method"]
     arguments = [str(cluster.binaries.folder / "postgres"), "-D", str(cluster.folder)]
