@@ -76,6 +76,12 @@ def api(starting: Starting) -> Iterator[Api]:
         yield start()
 
 
+@pytest.fixture
+def mission_id(api: Api) -> str:
+    """A new mission in a new project, of the API that the module tests."""
+    return str(api.mission(api.project()["id"])["id"])
+
+
 @pytest.fixture(scope="session")
 def sample(api: Api) -> Sample:
     """Files put into missions behind the API's back, as if they had been uploaded and summarised."""

@@ -44,11 +44,6 @@ def _withdraw(api: Api, who: Person) -> None:
     api.sql("DELETE FROM access_grant WHERE group_id = %s", who.group_id)
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _link(api: Api, file: dict[str, str]) -> str:
     return str(api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]["url"])
 

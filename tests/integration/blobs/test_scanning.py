@@ -31,11 +31,6 @@ def _api(start_api: Any) -> Api:
     return api
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _key(api: Api, file_id: str) -> str:
     return str(api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0][0])
 

@@ -23,11 +23,6 @@ T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _times(name: str, stamps: list[int], kind: str = "a/msg/B", **given: Any) -> dict[str, Any]:
     gap = max((b - a for a, b in pairwise(stamps)), default=None)
     span = {"first_ns": stamps[0], "last_ns": stamps[-1], "longest_gap_ns": gap, "stored_bytes": 10}

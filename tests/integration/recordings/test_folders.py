@@ -36,11 +36,6 @@ def _api(start_api: Any) -> Api:
     return api
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _problems(problems: Any) -> list[tuple[str, str, str]]:
     told = [(each["code"], each["where"], each["message"]) for each in problems]
     return [each for each in told if each[0].startswith(_OF_THE_WHOLE)]

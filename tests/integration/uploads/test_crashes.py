@@ -18,11 +18,6 @@ from tests.integration.uploading import begin, complete, crc64, send, sha256, si
 _PART = 8 * 1024 * 1024
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _tend(api: Api) -> None:
     on_site(api, lambda site: tend_uploads(site, stale_s=0))
 

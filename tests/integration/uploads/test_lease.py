@@ -36,11 +36,6 @@ def _api(start_api: StartApi) -> Api:
     return start_api(upload_lease_s=_LEASE_S)
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 @pytest.fixture(name="client")
 def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
     """Somebody without a journal of what is under way."""

@@ -39,11 +39,6 @@ def _api(start_api: StartApi) -> Api:
     return start_api(trash_days=0, sweep_grace_s=0)
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 class _Twin:
     """A file elsewhere, the only one that refers to its bytes."""
 

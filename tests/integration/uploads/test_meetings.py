@@ -12,11 +12,6 @@ from tests.integration.uploading import begin, complete, send, sha256, upload
 _HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def _sent(api: Api, mission_id: str, path: str) -> tuple[Any, bytes]:
     body = os.urandom(1000)
     started = begin(api, mission_id, {path: body})[0]["upload"]

@@ -99,11 +99,6 @@ def _api(
         yield start_api(s3_internal_url=middleman.url)
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.FixtureRequest) -> None:
     assert api.get("/service").ok()["checksum"] == request.node.callspec.params["api"]
 

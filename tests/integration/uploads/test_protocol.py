@@ -13,11 +13,6 @@ from tests.integration.uploading import begin, complete, crc64, fetch, parts_of,
 _PART = 8 * 1024 * 1024
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 @pytest.fixture(name="one")
 def _one() -> bytes:
     return os.urandom(16)

@@ -15,11 +15,6 @@ from tests.integration.uploading import begin, complete, fetch, send, upload
 _HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 @pytest.fixture(name="twin")
 def _twin(api: Api) -> bytes:
     """What is in a file of another mission already, so that it is linked and not sent."""

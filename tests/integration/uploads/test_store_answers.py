@@ -51,11 +51,6 @@ def _honest_again(middleman: Middleman) -> Iterator[None]:
     middleman.edit = lambda _asked, content: content
 
 
-@pytest.fixture(name="mission_id")
-def _mission_id(api: Api) -> str:
-    return str(api.mission(api.project()["id"])["id"])
-
-
 @pytest.fixture(name="client")
 def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
