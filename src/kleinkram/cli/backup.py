@@ -59,8 +59,8 @@ def create(
 
     Exit code 9: it was made, but some files were lost or corrupt in the store already; it says which.
     """
-    order = {"encrypt": encrypt, "bytes_per_s": parse_rate(limit_rate), "connections": connections}
-    _become(_order("create", place, passphrase_file, as_json, **order), data_dir)
+    pace = _pace(limit_rate, connections)
+    _become(_order("create", place, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
 
 
 @app.command("list")
@@ -82,13 +82,8 @@ def verify(
     as_json: AsJson = False,
 ) -> None:
     """Say whether the backups are whole: by names and sizes, or with --read-all by every byte. Exit code 9 if not."""
-    order = {
-        "snapshot_id": snapshot,
-        "read_all": read_all,
-        "bytes_per_s": parse_rate(limit_rate),
-        "connections": connections,
-    }
-    _become_server(_order("verify", place, passphrase_file, as_json, **order))
+    which = {"snapshot_id": snapshot, "read_all": read_all}
+    _become_server(_order("verify", place, passphrase_file, as_json, **which, **_pace(limit_rate, connections)))
 
 
 @app.command()
@@ -115,8 +110,12 @@ def restore(
 
     Exit code 9: it was restored, but some files are lost or corrupt, and shown so; it says which.
     """
-    order = {"snapshot_id": snapshot, "bytes_per_s": parse_rate(limit_rate), "connections": connections}
-    _become(_order("restore", place, passphrase_file, as_json, **order), data_dir)
+    pace = _pace(limit_rate, connections)
+    _become(_order("restore", place, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
+
+
+def _pace(limit_rate: str | None, connections: int) -> dict[str, object]:
+    return {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
 
 
 def _order(command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object) -> dict[str, object]:
