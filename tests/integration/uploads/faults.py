@@ -97,7 +97,7 @@ FAULTS = [
         completion._unfit,
         "row.state in {UploadState.aborted.value, UploadState.expired.value}",
         "row.state == UploadState.expired.value",
-        "states_move_along_documented_edges",
+        "_complete",
         "announce, send, abort, complete",
     ),
     Fault(

@@ -110,7 +110,7 @@ class Machine(RuleBasedStateMachine):
         outcome = complete(self.api, *upload)
         if outcome["outcome"] == "completed":
             assert outcome["file"]["sha256"] == sha256(upload[1])
-            assert was == "done" or arrived_bytes == len(upload[1]), "completed, although not all of it is there"
+            assert was == "done" or (was, arrived_bytes) == ("open", len(upload[1])), "it ended, or not all of it came"
         elif was == "open" and arrived_bytes == len(upload[1]):
             assert outcome["problem"]["code"] in {"file_exists", "upload_gone"}
 
@@ -187,6 +187,17 @@ class Machine(RuleBasedStateMachine):
         upload = self._begin(path, body, hashed=True)
         self._send(upload)
         self.swallow(upload, what)
+        self._complete(upload)
+
+    @rule(path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES), is_regretted=st.booleans())
+    def bring_too_late(self, path: str, body: bytes, is_regretted: bool) -> None:
+        """Upload a file, and complete it once it was broken off or has expired."""
+        upload = self._begin(path, body, hashed=True)
+        self._send(upload)
+        if is_regretted:
+            self.abort(upload)
+        else:
+            self.expire()
         self._complete(upload)
 
     def swallow(self, upload: Upload, what: str) -> None:
