@@ -142,8 +142,10 @@ class FolderShelf:
 
     async def tidy(self) -> None:
         """Remove unfinished files."""
-        for name, _, _ in await asyncio.to_thread(_entries, self._root / _UNFINISHED):
-            (self._root / _UNFINISHED / name).unlink(missing_ok=True)
+        with self._explained():
+            for name, size_bytes, _ in await asyncio.to_thread(_entries, self._root / _UNFINISHED):
+                if size_bytes is not None:  # no folder is ours
+                    (self._root / _UNFINISHED / name).unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:
