@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import urllib3
@@ -17,7 +18,8 @@ import urllib3
 from benchmarks.scale.asking import percentile
 from benchmarks.scale.places import seeded
 
-# Of ten requests one writes.
+_FILES = 200
+# Of ten requests two write.
 _READS = (
     "projects?limit=50",
     "missions?sort=-created&limit=50",
@@ -36,9 +38,10 @@ class _Client:
 def main(url: str, token: str, clients: int, seconds: float, project_id: str) -> dict[str, object]:
     """Run the crowd; returns how many were answered, how late, what went wrong, and how evenly they were served."""
     crowd = [_Client() for _ in range(clients)]
+    files = _files_there(url, token)
     until = time.monotonic() + seconds
     threads = [
-        threading.Thread(target=_run, args=(each, number, url, token, until, project_id))
+        threading.Thread(target=_run, args=(each, number, url, token, until, project_id, files))
         for number, each in enumerate(crowd)
     ]
     for thread in threads:
@@ -59,12 +62,27 @@ def main(url: str, token: str, clients: int, seconds: float, project_id: str) ->
     }
 
 
-def _run(client: _Client, number: int, url: str, token: str, until: float, project_id: str) -> None:
+def _files_there(url: str, token: str) -> list[str]:
+    """Return the ids of some files, all over the data; not those in the trash."""
+    lot, found = random.Random(0), []
+    with urllib3.PoolManager(retries=False, timeout=60) as pool:
+        while len(found) < _FILES:
+            file_id = str(seeded(f"file{lot.randrange(1, 9000)}-1"))
+            answer = pool.request("GET", f"{url}/api/v1/files/{file_id}", headers={"Authorization": f"Bearer {token}"})
+            if answer.status not in {200, 404}:
+                raise SystemExit(f"a file: {answer.status} {answer.data[:200].decode()}")
+            found += [file_id] if answer.status == 200 else []
+    return found
+
+
+def _run(
+    client: _Client, number: int, url: str, token: str, until: float, project_id: str, files: Sequence[str]
+) -> None:
     lot = random.Random(number)
     headers = {"Authorization": f"Bearer {token}"}
     with urllib3.PoolManager(retries=False, timeout=60) as pool:
         while time.monotonic() < until:
-            method, path, body = _next(lot, project_id)
+            method, path, body = _next(lot, project_id, files)
             began = time.perf_counter()
             try:
                 answer = pool.request(method, f"{url}/api/v1/{path}", headers=headers, json=body)
@@ -76,14 +94,14 @@ def _run(client: _Client, number: int, url: str, token: str, until: float, proje
                 client.errors.append(f"{method} {path}: {answer.status} {answer.data[:200].decode()}")
 
 
-def _next(lot: random.Random, project_id: str) -> tuple[str, str, dict[str, object] | None]:
+def _next(lot: random.Random, project_id: str, files: Sequence[str]) -> tuple[str, str, dict[str, object] | None]:
     kind = lot.randrange(10)
     if kind == 0:
         return "POST", f"projects/{project_id}/missions", {"name": f"crowd {uuid.uuid4()}", "metadata": {}}
     if kind == 1:
-        return "PATCH", f"files/{seeded(f'file{lot.randrange(1, 9000)}-1')}", {"labels": [f"seen {lot.randrange(9)}"]}
+        return "PATCH", f"files/{lot.choice(files)}", {"labels": [f"seen {lot.randrange(9)}"]}
     if kind < 5:
-        return "GET", f"files/{seeded(f'file{lot.randrange(1, 9000)}-1')}/topics", None
+        return "GET", f"files/{lot.choice(files)}/topics", None
     return "GET", lot.choice(_READS), None
 
 
