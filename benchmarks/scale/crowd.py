@@ -64,7 +64,8 @@ def main(url: str, token: str, clients: int, seconds: float, project_id: str) ->
 
 def _files_there(url: str, token: str) -> list[str]:
     """Return the ids of some files, all over the data; not those in the trash."""
-    lot, found = random.Random(0), []
+    lot = random.Random(0)
+    found: list[str] = []
     with urllib3.PoolManager(retries=False, timeout=60) as pool:
         while len(found) < _FILES:
             file_id = str(seeded(f"file{lot.randrange(1, 9000)}-1"))
