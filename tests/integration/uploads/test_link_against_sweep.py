@@ -55,6 +55,12 @@ class _Twin:
         self.api.sql("DELETE FROM file WHERE id = %s", self.file["id"])
 
 
+@pytest.fixture(name="other", scope="module")
+def _other(api: Api) -> _Twin:
+    """One that nobody links to, and that stays."""
+    return _Twin(api)
+
+
 def _sweep(api: Api, rounds: int = 2) -> set[str]:
     """Sweep, and return what is at the store then: one round dooms what the next one takes."""
 
@@ -76,8 +82,8 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
     assert [fetch(link["url"]) for link in links] == [(200, body) for body in bodies.values()]
 
 
-def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str) -> None:
-    twin, other = _Twin(api), _Twin(api)
+def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str, other: _Twin) -> None:
+    twin = _Twin(api)
     with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
         linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
         twin.leave()
@@ -87,9 +93,9 @@ def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str) -> None:
 
 
 def test_what_was_linked_while_the_sweep_looked_is_not_swept(
-    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+    api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    twin, other = _Twin(api), _Twin(api)
+    twin = _Twin(api)
     referred = queries.is_referred
 
     def looks_until_the_gate_opens() -> ColumnElement[bool]:
@@ -114,7 +120,7 @@ def test_what_was_linked_while_the_sweep_looked_is_not_swept(
     _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
 
 
-@pytest.mark.parametrize("is_gone", [False, True])
+@pytest.mark.parametrize("is_gone", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
 ) -> None:
