@@ -112,7 +112,7 @@ def _mission_says(actor: Actor, word: str) -> Conditions:
     if not sees_whole_missions(actor):
         return [named]
     values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
-    each = values.table_valued("value").render_derived()
+    each = values.table_valued("value").render_derived(name="said")
     as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
     scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
     in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
@@ -136,11 +136,12 @@ async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[S
     wanted: dict[str, ColumnElement[Any]] = {}
     for number, word in enumerate(asked):
         if has_index(word) and not _is_common(seen["files"], seen[f"files_{number}"], _FILES_DRAWN):
-            wanted[f"files_{number}"] = _first(select(file.c.id).where(or_(*_path_or_label_holds(word))))
+            held = select(file.c.id).where(or_(*_path_or_label_holds(word)))
+            wanted[f"files_{number}"] = _first(f"files_{number}", held)
         if has_index(word) and not _is_common(seen["missions"], seen[f"missions_{number}"], _MISSIONS_DRAWN):
-            wanted[f"missions_{number}"] = _first(select(mission.c.id).where(or_(*_mission_says(actor, word))))
-    columns = [column.label(name) for name, column in wanted.items()]
-    found = (await db.execute(select(*columns))).one()._mapping if columns else {}
+            said = select(mission.c.id).where(or_(*_mission_says(actor, word)))
+            wanted[f"missions_{number}"] = _first(f"missions_{number}", said)
+    found = (await db.execute(select(*wanted.values()))).one()._mapping if wanted else {}
     return tuple(
         Said(
             word,
@@ -161,7 +162,7 @@ def _first_look(actor: Actor, words: Sequence[str]) -> Select[Any]:
     for number, word in enumerate(words):
         projects = select(project.c.id).where(key_holds_word(project.c.name_key, word))
         topics = select(topic_name.c.name).where(holds_word(topic_name.c.name, word))
-        columns += [_first(projects).label(f"projects_{number}"), _first(topics).label(f"topics_{number}")]
+        columns += [_first(f"projects_{number}", projects), _first(f"topics_{number}", topics)]
     return select(*columns).select_from(files.join(missions, true()))
 
 
@@ -173,11 +174,11 @@ def _drawn(name: str, key: ColumnElement[Any], conditions: Conditions, most: int
     return select(func.count().label(name), *hits).select_from(drawn).subquery()
 
 
-def _first(found: Select[Any]) -> ColumnElement[Any]:
+def _first(name: str, found: Select[Any]) -> ColumnElement[Any]:
     # The select is planned as if all of it were wanted: with a limit of its own, the database would rather walk the
     # table until enough are met, and walk all of it where there are none.
-    every = found.cte().prefix_with("MATERIALIZED")
-    return func.array(select(*every.c).limit(_MOST + 1).scalar_subquery())
+    every = found.cte(f"every_{name}").prefix_with("MATERIALIZED")
+    return func.array(select(*every.c).limit(_MOST + 1).scalar_subquery()).label(name)
 
 
 def _is_common(drawn: int, hits: int, most: int) -> bool:
