@@ -1,6 +1,7 @@
 """The executor of containers."""
 
 import contextlib
+import logging
 import os
 from collections.abc import Collection, Sequence
 
@@ -12,6 +13,9 @@ from kleinkram.runner.docker.engine import Engine, EngineAway, Refused
 from kleinkram.runner.docker.images import Images, Pull
 from kleinkram.runner.wardens import Wardens, check_doors, make_folders
 from kleinkram.runner.work import CannotStart, Ending, ImagePinned, Work
+
+_log = logging.getLogger("kleinkram.runner")
+_STILL_THERE = Ending(EndReason.not_possible, "The engine of containers does not remove what an earlier start left.")
 
 
 class DockerExecutor:
@@ -72,11 +76,15 @@ class DockerExecutor:
         check_doors(work)
         try:
             image = self._engine.find_image(work.image)
+            # Its folders were made anew: what it still writes would be lost, and its end taken for this one's.
+            is_there = self._engine.find(container.name_of(work)) is not None
         except (EngineAway, Refused) as error:
             raise CannotStart(Ending(EndReason.not_possible, f"{error}.")) from error
         if image is None:
             message = f"The image {work.image} is not on this runner."
             raise CannotStart(Ending(EndReason.image_unavailable, message))
+        if is_there:
+            raise CannotStart(_STILL_THERE)
         uid = make_folders(work, is_root=self._is_root)
         user = os.getuid() if uid is None else uid
         for number, _ in enumerate(image.volumes):
@@ -103,14 +111,22 @@ class DockerExecutor:
         return self._wardens.usage(work)
 
     def remove(self, work: Work) -> None:
-        """Kill what is left of a run and forget it; its folder stays. Without an engine it is left to be swept."""
+        """Kill what is left of a run and forget it; its folder stays. What stays of it, too, is left to be swept."""
         self._wardens.remove(work)
         with contextlib.suppress(EngineAway):
-            self._engine.remove(container.name_of(work))
+            self._remove(container.name_of(work))
 
     def sweep(self, known: Collection[str]) -> None:
         """Remove the containers of this runner's runs, but for those with a known key."""
-        with contextlib.suppress(EngineAway):
+        try:
             for name, labels in self._engine.labelled(f"{container.RUNNER_LABEL}={self._runner}"):
                 if labels.get(container.RUN_LABEL) not in known:
-                    self._engine.remove(name)
+                    self._remove(name)
+        except (EngineAway, Refused) as error:
+            _log.warning("containers of earlier runs stay for now: %s", error)
+
+    def _remove(self, name: str) -> None:
+        try:
+            self._engine.remove(name)
+        except Refused as error:
+            _log.warning("the container %s stays for now: %s", name, error)

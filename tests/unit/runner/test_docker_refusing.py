@@ -1,0 +1,88 @@
+"""An engine of containers that does not remove one: a runner starts and ends its runs nevertheless."""
+
+from __future__ import annotations
+
+import json
+import socketserver
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.runner.docker.container import RUN_LABEL
+from kleinkram.runner.docker.engine import Engine
+from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.work import CannotStart, Work
+
+STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
+
+
+class Refusing(BaseHTTPRequestHandler):
+    """Has two containers of runs, and removes none."""
+
+    asked_to_remove: ClassVar[list[str]] = []
+    answers: ClassVar[dict[str, object]] = {
+        "/version": {"Arch": "amd64"},
+        "/info": {},
+        "/containers/json": [{"Id": name, "Labels": {RUN_LABEL: name}} for name in ("one", "other")],
+        "/containers/kleinkram-a-run/json": {"Id": "one", "State": STATE},
+        "/images/an-image/json": {"Id": "sha256:1", "RepoDigests": [], "Architecture": "amd64"},
+    }
+
+    def do_GET(self) -> None:
+        """Say what there is."""
+        path = self.path.partition("?")[0]
+        self._say(200 if path in self.answers else 404, self.answers.get(path, {"message": "no such thing"}))
+
+    def do_DELETE(self) -> None:
+        """Refuse."""
+        self.asked_to_remove.append(self.path.partition("?")[0])
+        self._say(500, {"message": "device or resource busy"})
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+    def _say(self, status: int, said: object) -> None:
+        self.send_response(status)
+        self.end_headers()
+        self.wfile.write(json.dumps(said).encode())
+
+
+@pytest.fixture
+def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
+    """One with such an engine."""
+    Refusing.asked_to_remove.clear()
+    with socketserver.ThreadingUnixStreamServer(str(tmp_path / "socket"), Refusing) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield DockerExecutor(Engine(tmp_path / "socket"))
+        server.shutdown()
+        thread.join()
+
+
+def a_run(folder: Path) -> Work:
+    return Work("a-run", folder, [], "an-image", Resources(), Network.none)
+
+
+def test_sweeping_goes_on_after_a_container_that_stays(
+    executor: DockerExecutor, caplog: pytest.LogCaptureFixture
+) -> None:
+    executor.sweep([])
+    assert Refusing.asked_to_remove == ["/containers/one", "/containers/other"]
+    assert caplog.text.count("stays for now: device or resource busy") == 2
+
+
+def test_a_run_is_removed_though_its_container_stays(
+    executor: DockerExecutor, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    executor.remove(a_run(tmp_path))
+    assert "kleinkram-a-run stays for now: device or resource busy" in caplog.text
+
+
+def test_what_an_earlier_start_left_is_not_taken_for_the_run(executor: DockerExecutor, tmp_path: Path) -> None:
+    with pytest.raises(CannotStart, match="does not remove what an earlier start left"):
+        executor.start(a_run(tmp_path))
