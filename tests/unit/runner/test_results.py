@@ -1,9 +1,13 @@
 """What a run left is read as a stranger's word: links lead nowhere, and what is broken is told."""
 
 import os
+import tracemalloc
 from pathlib import Path
 
+import pytest
+
 from kleinkram.contract.reports import EVENTS_FILE
+from kleinkram.runner import results
 from kleinkram.runner.results import collect
 
 
@@ -49,3 +53,26 @@ def test_a_report_that_leads_elsewhere_is_broken(tmp_path: Path) -> None:
     (out / "report.json").unlink()
     os.mkfifo(out / "report.json")
     assert "no regular file" in (collect(out).broken or "")
+
+
+def test_any_number_of_links_is_counted_and_not_kept(tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text("x")
+    for number in range(4000):
+        (tmp_path / f"{number}").symlink_to("track.csv")
+    tracemalloc.start()
+    found = collect(tmp_path)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [artifact.path for artifact in found.artifacts] == ["track.csv"]
+    assert (len(found.problems), found.problems[-1]) == (101, "And 3900 more.")
+    # Sentences, or entries of the folder, for all of them would be more.
+    assert peak_bytes < 200_000
+
+
+def test_no_more_is_looked_at_than_a_runner_has_time_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "_MOST_ENTRIES", 150)
+    for number in range(200):
+        (tmp_path / f"{number}").symlink_to("nowhere")
+    found = collect(tmp_path)
+    assert found.problems[0] == "It left more than 150 files, folders and links: no more were looked at."
+    assert found.problems[-1] == "And 50 more."
