@@ -60,6 +60,7 @@ class HeldRun:
         self._redactor = Redactor([token for token in (ground.token, attempt.state.claim.token) if token])
         self._log = LogFollower(ground.runners, ground.store, attempt.state.claim, attempt.folder, self._redactor)
         self._stopped_s = -math.inf
+        self._can_be_stopped = True
         self._keeping: Keeping | None = None
         self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
 
@@ -113,7 +114,17 @@ class HeldRun:
             self._keeping.end()
         elif self.orders.order is not Order.leave and self._is_started and now_s() - self._stopped_s > _STOP_EVERY_S:
             self._stopped_s = now_s()
+            self._stop()
+
+    def _stop(self) -> None:
+        """Ask what runs of it to end; where that fails, the next round does it again."""
+        try:
             self._ground.executor.stop(work_of(self._ground, self._attempt))
+            self._can_be_stopped = True
+        except OSError as error:
+            if self._can_be_stopped:
+                _log.warning("the run %s cannot be ended yet, and is tried again: %s", self.claim.run_id, error)
+            self._can_be_stopped = False
 
     def kill(self) -> None:
         """Kill what runs of it, once its thread is over: the next runner begins anew with it."""

@@ -79,6 +79,7 @@ class Runner:
         self._stopping = threading.Event()
         self._over = threading.Event()
         self._is_cut_off = False
+        self._is_noted = True
         self._news = threading.Event()
         self._has_room = threading.Event()
         self._held: dict[uuid.UUID, HeldRun] = {}
@@ -257,7 +258,7 @@ class Runner:
             try:
                 self._beat_once()
                 backoff = None
-            except KleinkramError as error:
+            except (KleinkramError, OSError) as error:
                 if backoff is None:
                     _log.warning("the server does not hear of %d runs: %s", len(self._held), error)
                 backoff = backoff or Backoff(math.inf, self._over.wait)
@@ -271,11 +272,21 @@ class Runner:
         beats = {run_id: run.beat() for run_id, run in held.items()}
         asked_s = now_s()
         answers = self._beating.beat(self._home.runner_id, Beats(runs=[*beats.values()]))
-        self._home.note_heard(asked_s)
+        self._note_heard(asked_s)
         for answer in answers.runs:
             run = held.get(answer.run_id)
             if run is not None and run.claim.attempt == answer.attempt:
                 run.answered(beats[answer.run_id], answer, asked_s=asked_s, lease_s=answers.lease_s)
+
+    def _note_heard(self, asked_s: float) -> None:
+        """Note it where that can be done: it is for the next runner, and the runs of this one do without."""
+        try:
+            self._home.note_heard(asked_s)
+            self._is_noted = True
+        except OSError as error:
+            if self._is_noted:
+                _log.warning("when the server was heard last cannot be noted in %s: %s", self._home.folder, error)
+            self._is_noted = False
 
     def _watch(self) -> None:
         while not self._over.wait(_PRESS_EVERY_S):

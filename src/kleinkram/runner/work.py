@@ -101,7 +101,11 @@ class Executor(Protocol):
         """Return how a run ended, or None if it goes on for longer than `timeout_s`."""
 
     def stop(self, work: Work) -> None:
-        """Ask a run to end, and kill it `GRACE_S` later; return at once. Nothing happens to one that is over."""
+        """Ask a run to end, and kill it `GRACE_S` later; return at once. Nothing happens to one that is over.
+
+        Raises:
+            OSError: this machine does not let it be asked now; it may be tried again.
+        """
 
     def usage(self, work: Work) -> Usage | None:
         """Return what a run uses, or None where it is over or unknown."""
