@@ -95,7 +95,7 @@ def _ask_in_turn(
 def _bare(statements: list[Statement], database_url: str, times_asked: int) -> list[float]:
     """Return the milliseconds that the statements of one request take by themselves, each time anew."""
     times = []
-    with psycopg.connect(database_url) as database:
+    with psycopg.connect(database_url, options="-c plan_cache_mode=force_custom_plan") as database:
         for number in range(_WARM + times_asked):
             began = time.perf_counter()
             for statement, values in statements:

@@ -65,9 +65,11 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
     """
     url = make_url(async_dsn(settings.database_url))
     arguments: dict[str, object] = {"connect_timeout": 5, "application_name": "kleinkram"}
+    # Planned for the values of each request: what suits most words, labels and people may be the worst for one of them.
+    options = [*url.normalized_query.get("options", ()), "-c plan_cache_mode=force_custom_plan"]
     if statement_timeout_s is not None:
-        timeout = f"-c statement_timeout={round(statement_timeout_s * 1000)}"
-        arguments["options"] = " ".join([*url.normalized_query.get("options", ()), timeout])
+        options.append(f"-c statement_timeout={round(statement_timeout_s * 1000)}")
+    arguments["options"] = " ".join(options)
     engine = create_async_engine(
         url,
         pool_size=settings.database_connections,
