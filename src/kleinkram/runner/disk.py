@@ -1,10 +1,25 @@
 """Files written so that a kill at any moment leaves them whole, and read so that strangers' links lead nowhere."""
 
+import errno
 import os
 import shutil
 import stat
 from pathlib import Path
 from typing import IO
+
+# What the kernel says where a disk, or what somebody may have of it, is full.
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_SHORT_BYTES = 128
+
+
+def write_over(path: Path, text: str) -> None:
+    """Write a short file where it stands: once it is there, that takes no room of the disk."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        # Of constant length, and one write: it is there as a whole or not at all.
+        os.pwrite(descriptor, text.ljust(_SHORT_BYTES).encode(), 0)
+    finally:
+        os.close(descriptor)
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -13,7 +13,7 @@ from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import Beat, BeatAnswer, Claim, RunFinish, Verdict
 from kleinkram.contract.runs import EndReason, RunState, Sample
 from kleinkram.runner.attempts import Attempt, EndingNoted, Stage
-from kleinkram.runner.disk import remove_tree
+from kleinkram.runner.disk import FULL, remove_tree
 from kleinkram.runner.ground import Ground, work_of
 from kleinkram.runner.keeping import Keeping
 from kleinkram.runner.logs import LogFollower
@@ -148,6 +148,15 @@ class HeldRun:
                 self._clear()
 
     def _see_it_through(self) -> None:
+        try:
+            self._see_to_end_and_results()
+        except OSError as error:
+            if error.errno not in FULL:
+                raise
+            _log.error("the run %s is ended, as there is no room here: %s", self.claim.run_id, error)
+            self._end_without_room()
+
+    def _see_to_end_and_results(self) -> None:
         if self._attempt.state.stage is not Stage.collecting:
             ending = self._see_to_its_end()
             noted = EndingNoted(reason=ending.reason, message=ending.message, exit_code=ending.exit_code)
@@ -248,6 +257,16 @@ class HeldRun:
                 raise
             self.orders.obeyed()
             self._finish(self._keeping, self._keeping.nothing(_cancelled(ending.exit_code)))
+
+    def _end_without_room(self) -> None:
+        """Tell that it is over: given up, it would be started again, to meet the same."""
+        if self.orders.order is Order.cancel:
+            self.orders.obeyed()
+        self.orders.check()
+        self._ground.executor.remove(work_of(self._ground, self._attempt))
+        self._now(RunState.collecting)
+        self._keeping = Keeping(self._ground, self._attempt, self.orders, self._redactor)
+        self._finish(self._keeping, self._keeping.no_room())
 
     def _finish(self, keeping: Keeping, said: RunFinish) -> None:
         # It says all that beats would have.

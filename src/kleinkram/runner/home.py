@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kleinkram.client.errors import InvalidInput
-from kleinkram.runner.disk import write_whole
+from kleinkram.runner.disk import write_over, write_whole
 
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
@@ -41,7 +41,7 @@ class Home:
 
     def note_heard(self, at_s: float) -> None:
         """Note that the server has answered a beat of then, by the clock of leases."""
-        (self.folder / "heard").write_text(f"{_boot()} {at_s}")
+        write_over(self.folder / "heard", f"{_boot()} {at_s}")
 
     def heard_s(self) -> float:
         """Return when it last did; 0 where that is not known, or the machine was started anew since."""

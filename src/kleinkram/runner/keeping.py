@@ -10,6 +10,7 @@ from kleinkram.contract.errors import BodyTooLarge, InvalidRequest, KleinkramErr
 from kleinkram.contract.reports import Report
 from kleinkram.contract.runners import LOG_PATH, RunFinish
 from kleinkram.contract.runs import EndReason
+from kleinkram.runner import ward
 from kleinkram.runner.attempts import Attempt
 from kleinkram.runner.ground import Ground
 from kleinkram.runner.leaving import Leaving, Refused, artifact_file, log_file
@@ -72,6 +73,12 @@ class Keeping:
     def nothing(self, ending: Ending) -> RunFinish:
         """Return what is said of a run that was cancelled while its results were kept."""
         return self._said(ending, Report(), ["It was cancelled while its results were sent: none of them are kept."])
+
+    def no_room(self) -> RunFinish:
+        """Return what is said of a run that cannot be seen to its end for want of room."""
+        reason, message = ward.NO_ROOM
+        problem = "What it left is not kept, or not all of it: its runner had no room to work with."
+        return self._said(Ending(EndReason(reason), message), Report(), [problem])
 
     def finish(self, said: RunFinish) -> None:
         """Tell the server how it ended, for as long as that takes.

@@ -5,6 +5,7 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
+from kleinkram.runner.disk import write_over
 from kleinkram.runner.ward import HELD, now_s
 
 # What a run is ended by, so that two never run at once: so long before its lease can run out.
@@ -92,6 +93,4 @@ class Lease:
 
     def write_down(self, folder: Path) -> None:
         """Note it in a run's folder."""
-        aside = folder / f"{HELD}.new"
-        aside.write_text(str(self._until_s))
-        aside.replace(folder / HELD)
+        write_over(folder / HELD, str(self._until_s))

@@ -18,6 +18,7 @@ STARTED = b"started\n"
 LOG_IS_FULL = b"\n[kleinkram] the log is full: what comes after this is not kept\n"
 # An empty file takes room, too: of what a disk can name.
 _ENTRY_BYTES = 1024
+_RESERVED_BYTES = 4096
 
 
 def written_bytes(folder: Path) -> int:
@@ -78,6 +79,7 @@ def too_long(time_s: int) -> tuple[str, str]:
 
 
 CANCELLED = ("cancelled", "It was cancelled.")
+NO_ROOM = ("disk", "The disk of its runner is full. It can be run again once there is room.")
 NOT_HELD = ("lost", "Its runner was not there for too long, so it was ended: another runner may have it.")
 
 
@@ -86,13 +88,46 @@ def _mb(size_bytes: int) -> str:
 
 
 def write_whole(path: Path, facts: Mapping[str, object]) -> None:
-    """Write a file whole, or not at all."""
-    aside = path.with_name(path.name + ".new")
-    with aside.open("w") as stream:
+    """Write a file whole, or not at all; what was reserved for it is used."""
+    aside = _aside(path)
+    with os.fdopen(os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600), "w") as stream:
         json.dump(facts, stream)
+        stream.truncate()
         stream.flush()
         os.fsync(stream.fileno())
     aside.replace(path)
+
+
+def reserve(path: Path) -> None:
+    """Take the room for a file that is to be written whole later, though the disk be full by then.
+
+    Raises:
+        OSError: there is none.
+    """
+    with _aside(path).open("wb") as stream:
+        stream.write(bytes(_RESERVED_BYTES))
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(path.name + ".new")
+
+
+def write_usage(folder: Path, use: Mapping[str, object]) -> None:
+    """Write down what a run uses, where there is room for that: nothing depends on it."""
+    with contextlib.suppress(OSError):
+        write_whole(folder / USAGE, use)
+
+
+def write_log(log: int, data: bytes) -> None:
+    """Write all of what a run said.
+
+    Raises:
+        OSError: there is no room for it.
+    """
+    while data:
+        data = data[os.write(log, data) :]
 
 
 def began(pid: int) -> int | None:

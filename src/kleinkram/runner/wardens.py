@@ -63,6 +63,7 @@ class Wardens:
 
         Raises:
             CannotStart: it cannot be started.
+            OSError: there is no room for what its warden is told.
         """
         bounds = {
             "memory_bytes": work.resources.memory_bytes,
@@ -75,6 +76,8 @@ class Wardens:
         path = work.folder / ward.WORK
         path.touch(mode=0o600)
         path.write_text(json.dumps({**bounds, **task}))
+        # However full the disk is by then, how it ended is told.
+        ward.reserve(work.folder / ward.ENDING)
         if not self._spawn(work):
             raise CannotStart(self.wait(work, timeout_s=GRACE_S) or _LOST)
 
@@ -92,7 +95,11 @@ class Wardens:
             time.sleep(_LOOK_EVERY_S)
 
     def stop(self, work: Work) -> None:
-        """Ask a run to end, and kill it `GRACE_S` later; return at once. Nothing happens to one that is over."""
+        """Ask a run to end, and kill it `GRACE_S` later; return at once. Nothing happens to one that is over.
+
+        Raises:
+            OSError: this machine does not let it be asked now; it may be tried again.
+        """
         if not self._is_watched(work) and _ending(work) is None:
             self._watch_again(work)
         self._signal(work, signal.SIGTERM)
@@ -117,7 +124,13 @@ class Wardens:
 
     def _spawn(self, work: Work) -> bool:
         """Start a warden, wait for its word, and return whether the run lasts."""
+        ward.reserve(work.folder / _PROCESS)
         told, telling = os.pipe()
+        with os.fdopen(told, "rb") as words:
+            self._set_going(work, telling)
+            return words.readline() == ward.STARTED
+
+    def _set_going(self, work: Work, telling: int) -> None:
         # Until it has said what to do when asked to end, a warden cannot be asked.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
         try:
@@ -137,8 +150,6 @@ class Wardens:
         self._spawned[work.key] = self._spawned.get(work.key, 0) + 1
         facts = {"pid": started.pid, "began": ward.began(started.pid)}
         ward.write_whole(work.folder / _PROCESS, facts)
-        with os.fdopen(told, "rb") as words:
-            return words.readline() == ward.STARTED
 
     def _watch_again(self, work: Work) -> bool:
         """Have a run watched whose warden died before it; return whether it is."""

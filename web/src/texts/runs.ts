@@ -27,7 +27,7 @@ export const reasonTexts: Readonly<Record<EndReason, string>> = {
   signal: "Its command was ended by a signal.",
   memory: "It used more memory than it may.",
   time: "It took longer than it may.",
-  disk: "It wrote more than it may.",
+  disk: "It wrote more than it may, or its runner had no room.",
   cancelled: "Somebody cancelled it.",
   command_not_found: "Its command is not in the image.",
   image_unavailable: "Its image could not be had.",

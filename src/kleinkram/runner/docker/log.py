@@ -38,6 +38,7 @@ class Log:
         self._cursor = os.open(folder / _CURSOR, os.O_RDWR | os.O_CREAT, 0o600)
         self._limit = limit_bytes
         self._size = os.fstat(self._log).st_size
+        self.has_room = True
         self._kept = self._read_cursor()
         self._lock = threading.Lock()
         self._open_stream: int | None = None
@@ -56,8 +57,8 @@ class Log:
 
     @property
     def is_full(self) -> bool:
-        """Whether nothing more is kept."""
-        return self._size >= self._limit
+        """Whether nothing more is kept; `has_room` is then false where that is for want of room on the disk."""
+        return self._size >= self._limit or not self.has_room
 
     @property
     def last_written_ns(self) -> int:
@@ -91,6 +92,12 @@ class Log:
         return held
 
     def _write(self, pieces: Iterable[Piece]) -> None:
+        try:
+            self._write_all(pieces)
+        except OSError:
+            self.has_room = False
+
+    def _write_all(self, pieces: Iterable[Piece]) -> None:
         for stream, same in groupby(pieces, key=lambda piece: piece.stream):
             if self.is_full:
                 return
@@ -98,11 +105,11 @@ class Log:
             said = {"size": self._size, "kept": [self._kept[1], self._kept[2]], "next": stream}
             # Of constant length, and one write: it is there as a whole or not at all.
             os.pwrite(self._cursor, json.dumps(said).ljust(120).encode(), 0)
-            os.write(self._log, data)
+            ward.write_log(self._log, data)
             self._size += len(data)
             self._kept[stream] += len(data)
             if self.is_full:
-                os.write(self._log, ward.LOG_IS_FULL)
+                ward.write_log(self._log, ward.LOG_IS_FULL)
 
     def without_kept(self, batches: Iterable[list[Piece]]) -> Iterator[list[Piece]]:
         """Yield of all that the container wrote since its start what is not in here."""
@@ -122,8 +129,11 @@ class Log:
 
     def note_gap(self) -> None:
         """Say that something may be missing from here on."""
-        os.write(self._log, _GAP)
-        self._size += len(_GAP)
+        try:
+            ward.write_log(self._log, _GAP)
+            self._size += len(_GAP)
+        except OSError:
+            self.has_room = False
 
     def _read_cursor(self) -> dict[int, int]:
         text = os.pread(self._cursor, 4096, 0)

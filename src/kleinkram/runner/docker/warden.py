@@ -116,9 +116,10 @@ class Warden:
         while not self._over.wait(_LOOK_EVERY_S):
             self._look()
         log.join(_LOG_DRAINED_S)
+        self._look_at_log()
         self._look_at_disk()
         if self._use:
-            ward.write_whole(self._folder / ward.USAGE, self._use)
+            ward.write_usage(self._folder, self._use)
 
     def _meet(self, found: Container) -> None:
         """Look at the container's first process from outside, and make the doors of its network."""
@@ -168,6 +169,7 @@ class Warden:
         now = time.monotonic()
         self._measure()
         self._log.add_held(after_s=_LOOK_EVERY_S)
+        self._look_at_log()
         if self._is_asked:
             self._end(ward.CANCELLED)
         if self._lasts_s() > self._work["time_s"]:
@@ -196,6 +198,10 @@ class Warden:
         """Whether a process that is not over is the container's first one."""
         return self._began > 0 and ward.began(pid) == self._began
 
+    def _look_at_log(self) -> None:
+        if not self._log.has_room:
+            self._end(ward.NO_ROOM, grace_s=0)
+
     def _look_at_disk(self) -> None:
         if ward.written_bytes(self._folder) > self._work["disk_bytes"]:
             self._end(ward.too_much_disk(self._work["disk_bytes"]), grace_s=0)
@@ -208,7 +214,7 @@ class Warden:
         self._use = {**used._asdict(), "peak_memory_bytes": peak}
         if time.monotonic() >= self._told_at:
             self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
-            ward.write_whole(self._folder / ward.USAGE, self._use)
+            ward.write_usage(self._folder, self._use)
 
     def _end(self, why: tuple[str, str], *, grace_s: float | None = None) -> None:
         """Have the run ended; the first reason counts."""

@@ -139,10 +139,14 @@ class Warden:
 
     def _keep(self, data: bytes, log: int) -> None:
         if self._log_left > 0:
-            os.write(log, data[: self._log_left])
-            self._log_left -= len(data)
-            if self._log_left <= 0:
-                os.write(log, ward.LOG_IS_FULL)
+            try:
+                ward.write_log(log, data[: self._log_left])
+                self._log_left -= len(data)
+                if self._log_left <= 0:
+                    ward.write_log(log, ward.LOG_IS_FULL)
+            except OSError:
+                self._log_left = 0
+                self._end(ward.NO_ROOM, grace_s=0)
 
     def _look(self) -> None:
         now = time.monotonic()
@@ -190,14 +194,14 @@ class Warden:
         )
         if time.monotonic() >= self._told_at:
             self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
-            ward.write_whole(self._folder / ward.USAGE, vars(self._use))
+            ward.write_usage(self._folder, vars(self._use))
 
     def _leave(self, code: int) -> None:
         failure = self._failure.decode(errors="replace")
         self._look_at_disk()
         used = os.times()
         self._use = replace(self._use, cpu_s=max(self._use.cpu_s, used.children_user + used.children_system))
-        ward.write_whole(self._folder / ward.USAGE, vars(self._use))
+        ward.write_usage(self._folder, vars(self._use))
         reason, message = self._why or _told_by(failure, code)
         exit_code = None if failure or self._why else code
         ward.write_whole(self._folder / ward.ENDING, {"reason": reason, "message": message, "exit_code": exit_code})
