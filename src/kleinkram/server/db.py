@@ -16,6 +16,7 @@ from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_en
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.settings import Settings, async_dsn
+from kleinkram.server.turns import NoTurn, Turns
 
 # Above any statement of the API on a large database; a worker may need longer.
 STATEMENT_TIMEOUT_S = 30
@@ -30,8 +31,9 @@ Connection = AsyncConnection
 class Database:
     """The pool of one process."""
 
-    def __init__(self, engine: AsyncEngine) -> None:
+    def __init__(self, engine: AsyncEngine, *, connections: int) -> None:
         self.engine = engine
+        self._turns = Turns(connections)
 
     @asynccontextmanager
     async def begin(self) -> AsyncIterator[Connection]:
@@ -42,9 +44,9 @@ class Database:
                 (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
         """
         try:
-            async with self.engine.begin() as connection:
+            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self.engine.begin() as connection:
                 yield connection
-        except PoolTimeoutError as error:
+        except (PoolTimeoutError, NoTurn) as error:
             raise DatabaseUnavailable from error
         except DBAPIError as error:
             if isinstance(error.orig, psycopg.errors.DiskFull):
@@ -79,7 +81,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         connect_args=arguments,
         hide_parameters=True,  # in the text of errors, which is logged
     )
-    return Database(engine)
+    return Database(engine, connections=settings.database_connections)
 
 
 def was_cut_off(error: DatabaseUnavailable) -> bool:

@@ -32,6 +32,7 @@ from kleinkram.server.headers import guarded
 from kleinkram.server.proxies import set_asker
 from kleinkram.server.reads import GONE, Reads, may_be_read_again
 from kleinkram.server.settings import Settings
+from kleinkram.server.turns import note_arrival
 from kleinkram.server.web.serving import app_page, wants_page
 
 _log = logging.getLogger("kleinkram.http")
@@ -69,6 +70,7 @@ class Envelope:
         request_id = given.decode() if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = request_id
         set_asker(scope, scope["headers"], self._trusted)
+        note_arrival()
         started = time.perf_counter()
         status = 500
 
