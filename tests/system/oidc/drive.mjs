@@ -2,7 +2,7 @@
 import { createInterface } from "node:readline";
 import { chromium } from "playwright-core";
 
-const patience = { timeout: 20_000 };
+const patience = { timeout: 60_000 };
 const browser = await chromium.launch({ executablePath: process.argv[2], args: ["--no-sandbox"] });
 let context;
 let page;

@@ -25,7 +25,7 @@ _QUERY = "alpine topic:/imu/* format:mcap"
 _MOST_BYTES = 200_000
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 @pytest.mark.timeout(300)
 def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
     house.start()
