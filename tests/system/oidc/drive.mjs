@@ -27,7 +27,8 @@ function late() {
 
 const acts = {
   fresh,
-  goto: async ({ url }) => void (await page.goto(url, patience)),
+  // A page may go on to another address before it has loaded.
+  goto: async ({ url }) => void (await page.goto(url, { ...patience, waitUntil: "commit" })),
   fill: async ({ selector, value }) => void (await page.fill(selector, value, patience)),
   click: async ({ selector }) => void (await page.click(selector, patience)),
   see: async ({ text }) => void (await page.getByText(text).first().waitFor(patience)),
