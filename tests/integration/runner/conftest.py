@@ -7,8 +7,10 @@ import os
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
@@ -20,6 +22,8 @@ from tests.integration.runner import engines, podmen
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podmen import Podman
 from tests.lacking import missing, need
+
+AnEngine = TypeVar("AnEngine", bound=Dockerd)
 
 
 @dataclass
@@ -88,21 +92,22 @@ def log_of(work: Work) -> str:
 @pytest.fixture(scope="session")
 def docker() -> Iterator[Dockerd]:
     """A Docker of the tests' own, with an image of this Python."""
-    if os.geteuid() != 0:
-        missing("a Docker of the tests' own needs root")
-    need(*engines.PROGRAMS)
-    with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as made:
-        made.load(engines.IMAGE, root=engines.python_root())
-        yield made
+    yield from _loaded("a Docker", engines.PROGRAMS, engines.dockerd)
 
 
 @pytest.fixture(scope="session")
 def podman() -> Iterator[Podman]:
     """A Podman of the tests' own, with an image of this Python."""
+    yield from _loaded("a Podman", podmen.PROGRAMS, podmen.podman)
+
+
+def _loaded(
+    what: str, programs: Sequence[str], begin: Callable[[str, str], AbstractContextManager[AnEngine]]
+) -> Iterator[AnEngine]:
     if os.geteuid() != 0:
-        missing("a Podman of the tests' own needs root")
-    need(*podmen.PROGRAMS)
-    with engines.bridge() as (name, gateway), podmen.podman(name, gateway) as made:
+        missing(f"{what} of the tests' own needs root")
+    need(*programs)
+    with engines.bridge() as (name, gateway), begin(name, gateway) as made:
         made.load(engines.IMAGE, root=engines.python_root())
         yield made
 

@@ -12,6 +12,7 @@ from kleinkram.runner import held, logs, ward
 from kleinkram.runner.attempts import Attempt, Stage
 from kleinkram.runner.disk import write_over
 from kleinkram.runner.process.executor import ProcessExecutor
+from kleinkram.runner.runner import Runner
 from kleinkram.runner.work import Work
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -21,17 +22,21 @@ FULL = Path("/dev/full")
 LASTING = "import time\ntime.sleep(60)"
 
 
+def _cancel_a_run(server: FakeServer, runner: Runner) -> None:
+    run = server.launch(LASTING)
+    wait_until(lambda: RunState.running in run.states)
+    run.is_cancelled = True
+    runner._news.set()
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+
+
 def test_beats_go_on_though_the_disk_is_full(
     server: FakeServer, runners: Runners, caplog: pytest.LogCaptureFixture
 ) -> None:
     runner = runners.start()
     wait_until(lambda: server.hellos)
     (runners.folder / "heard").symlink_to(FULL)
-    run = server.launch(LASTING)
-    wait_until(lambda: RunState.running in run.states)
-    run.is_cancelled = True
-    runner._news.set()
-    assert ended(run).finishes[0].reason is EndReason.cancelled
+    _cancel_a_run(server, runner)
     assert caplog.text.count("No space left on device") == 1
 
 
@@ -53,11 +58,7 @@ def test_an_end_that_cannot_be_asked_for_is_asked_for_again(
 ) -> None:
     monkeypatch.setattr(held, "_STOP_EVERY_S", 0.05)
     runner = runners.start(WithoutProcesses())
-    run = server.launch(LASTING)
-    wait_until(lambda: RunState.running in run.states)
-    run.is_cancelled = True
-    runner._news.set()
-    assert ended(run).finishes[0].reason is EndReason.cancelled
+    _cancel_a_run(server, runner)
     assert caplog.text.count("cannot be ended yet") == 1
 
 
