@@ -19,6 +19,8 @@ LOG_IS_FULL = b"\n[kleinkram] the log is full: what comes after this is not kept
 # An empty file takes room, too: of what a disk can name.
 _ENTRY_BYTES = 1024
 _RESERVED_BYTES = 4096
+# Of the kernel's flags of a process: PF_EXITING.
+_IS_ENDING = 4
 
 
 def written_bytes(folder: Path) -> int:
@@ -131,10 +133,11 @@ def write_log(log: int, data: bytes) -> None:
 
 
 def began(pid: int) -> int | None:
-    """When a process began, in ticks since the machine did; None where it is over, though nobody reaped it yet."""
+    """When a process began, in ticks since the machine did; None where it is ending, or over though not reaped yet."""
     try:
         # The name, which stands in parentheses, may hold anything.
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return None
-    return None if fields[0] == "Z" else int(fields[19])
+    # What ends has lost its memory, its namespaces and its control groups some time before it is said to be over.
+    return None if fields[0] == "Z" or int(fields[6]) & _IS_ENDING else int(fields[19])

@@ -134,6 +134,7 @@ def test_a_crash_is_told(bench: Bench) -> None:
     assert "SIGSEGV" in ending.message
 
 
+@EVERYWHERE
 def test_a_command_that_is_not_there(bench: Bench) -> None:
     with pytest.raises(CannotStart, match="/usr/bin/nonsense") as caught:
         bench.executor.start(bench.work(["/usr/bin/nonsense"]))

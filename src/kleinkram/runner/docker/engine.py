@@ -150,7 +150,7 @@ class Engine:
     def find(self, name: str) -> Container | None:
         """Return a container, or None where there is none of that name."""
         try:
-            said = self._ask("GET", f"/containers/{name}/json")
+            said = self._described(name)
         except Refused as error:
             if error.status == HTTPStatus.NOT_FOUND:
                 return None
@@ -162,6 +162,16 @@ class Engine:
             status, exit_code = "exited", UNSEEN
         killed, error_said = bool(state["OOMKilled"]), state.get("Error") or ""
         return Container(said["Id"], status, state["Pid"], exit_code, killed, error_said)
+
+    def _described(self, name: str) -> Any:
+        path = f"/containers/{name}/json"
+        try:
+            return self._ask("GET", path)
+        except Refused as error:
+            # Podman before 4.4 fails where the first process is gone while it looks at that, which it is only once.
+            if error.status != HTTPStatus.INTERNAL_SERVER_ERROR:
+                raise
+            return self._ask("GET", path)
 
     def was_told_to_kill(self, name: str) -> bool:
         """Whether anybody had a container stopped or sent a signal, as far as it remembers."""

@@ -124,10 +124,13 @@ class Warden:
     def _meet(self, found: Container) -> None:
         """Look at the container's first process from outside, and make the doors of its network."""
         self._began = ward.began(found.pid) or 0
+        groups: dict[str, str] = {}
         with contextlib.suppress(OSError):
-            self._groups = cgroups.groups_of(found.pid)
-        # An engine's number may be that of another process here, were the engine not of this machine.
-        if self._began and not any(found.id in path for path in self._groups.values()) and self._is(found.pid):
+            groups = cgroups.groups_of(found.pid)
+        if any(found.id in path for path in groups.values()):
+            self._groups = groups
+        elif self._is(found.pid):
+            # An engine's number may be that of another process here, were the engine not of this machine.
             raise OSError("the engine's processes are not this machine's")
         self._pid = found.pid
         if not self._ways:

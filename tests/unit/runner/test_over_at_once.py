@@ -1,0 +1,152 @@
+"""Containers whose first process is ending, or over, by the time that their warden looks at it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socketserver
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner import ward
+from kleinkram.runner.docker.engine import Engine
+from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.work import CannotStart, Work
+from tests.lacking import missing, need
+
+WORDS = b"ERROR (catatonit:2): failed to exec pid1: No such file or directory\n"
+BORN = {"StartedAt": "2026", "OOMKilled": False}
+
+
+class Podman(BaseHTTPRequestHandler):
+    """Has made and started one container, which is over once somebody waits for that."""
+
+    pid: ClassVar[int]
+    stumbles: ClassVar[int]
+    done: ClassVar[set[str]]
+
+    def do_GET(self) -> None:
+        """Say how the container is, or what it wrote."""
+        name = self.path.partition("?")[0].rpartition("/")[2]
+        if name == "logs":
+            self._say(200, bytes([2, 0, 0, 0]) + len(WORDS).to_bytes(4, "big") + WORDS)
+        elif name == "_ping":
+            self._say(200, b"OK")
+        elif name != "json" or "/images/" in self.path:
+            about = {"Id": "sha256:1", "RepoDigests": [], "Architecture": "amd64", "Arch": "amd64"}
+            self._say(200, json.dumps(about).encode())
+        elif "start" not in self.done:
+            self._say(404, b"{}")
+        elif type(self).stumbles:
+            type(self).stumbles -= 1
+            self._say(500, json.dumps({"message": f"read /proc/{self.pid}/cgroup: no such process"}).encode())
+        else:
+            self._say(200, json.dumps({"Id": "one", "State": self._state()}).encode())
+
+    def _state(self) -> dict[str, object]:
+        if "wait" in self.done:
+            return {**BORN, "Status": "exited", "Pid": 0, "ExitCode": 1, "FinishedAt": "2026"}
+        return {**BORN, "Status": "running", "Pid": self.pid, "ExitCode": 0, "FinishedAt": "0001-"}
+
+    def do_POST(self) -> None:
+        """Do what it is told."""
+        self.rfile.read(int(self.headers["Content-Length"]))
+        name = self.path.partition("?")[0].rpartition("/")[2]
+        self.done.add(name)
+        self._say(200, b"" if name == "attach" else b"{}")
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+    def _say(self, status: int, said: bytes) -> None:
+        # Who only wants to know whether there is an answer reads none.
+        with contextlib.suppress(BrokenPipeError):
+            self.send_response(status)
+            self.end_headers()
+            self.wfile.write(said)
+
+
+@contextmanager
+def first_process(how: str) -> Iterator[int]:
+    """Yield the pid of a process that is `ending`, or over: `unreaped`, `gone`."""
+    if how == "ending":
+        with ending_process() as pid:
+            yield pid
+        return
+    with subprocess.Popen(["true"]) as over:
+        os.waitid(os.P_PID, over.pid, os.WEXITED | os.WNOWAIT)
+        if how == "gone":
+            over.wait()
+        yield over.pid
+
+
+@contextmanager
+def ending_process() -> Iterator[int]:
+    """Yield the pid of the first process of a namespace: it was killed, and waits for another there to be reaped."""
+    need("unshare", "nsenter")
+    namespaces = ["--user", "--pid"]
+    with says_made("unshare", *namespaces, "--map-root-user", "--fork") as house:
+        pid = int(Path(f"/proc/{house.pid}/task/{house.pid}/children").read_text())
+        with says_made("nsenter", "--target", str(pid), *namespaces) as guest:
+            guest.send_signal(signal.SIGSTOP)
+            os.kill(pid, signal.SIGKILL)
+            try:
+                until = time.monotonic() + 20
+                while has_memory(pid):
+                    assert time.monotonic() < until
+                    time.sleep(0.01)
+                yield pid
+            finally:
+                guest.send_signal(signal.SIGCONT)
+
+
+@contextmanager
+def says_made(*words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a shell by these words that goes on until it is killed, or all is where it is."""
+    made = subprocess.Popen([*words, "sh", "-c", "echo made; exec sleep 60"], stdout=subprocess.PIPE)
+    assert made.stdout is not None
+    with made:
+        if made.stdout.readline() != b"made\n":
+            missing("this kernel gives no namespaces to this user")
+        yield made
+
+
+def has_memory(pid: int) -> bool:
+    """Whether a process has not lost its memory, which it does after the kernel said that it is ending."""
+    return bool(Path(f"/proc/{pid}/cmdline").read_bytes())
+
+
+@pytest.fixture
+def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
+    """One with such an engine."""
+    Podman.done, Podman.stumbles = set(), 0
+    with socketserver.ThreadingUnixStreamServer(str(tmp_path / "socket"), Podman) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield DockerExecutor(Engine(tmp_path / "socket"))
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize(("how", "stumbles"), [("ending", 0), ("unreaped", 0), ("gone", 0), ("gone", 1)])
+def test_a_command_that_is_not_there_is_told(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
+    """The control groups of such a process are the machine's own, and Podman may stumble over it."""
+    work = Work("a-run", tmp_path / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
+    work.folder.mkdir()
+    Podman.stumbles = stumbles
+    with first_process(how) as Podman.pid, pytest.raises(CannotStart, match="/usr/bin/odd: No such file") as caught:
+        executor.start(work)
+    assert caught.value.ending.reason is EndReason.command_not_found
+    assert not (work.folder / ward.USAGE).exists(), "what the whole machine uses was told as the run's"
