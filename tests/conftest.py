@@ -23,6 +23,13 @@ settings.register_profile("any machine", deadline=None, suppress_health_check=[H
 settings.load_profile("any machine")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long rounds end when they end; cut off in the middle of a history, they would only seem to be flaky."""
+    for item in items:
+        if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(0))
+
+
 @pytest.fixture(scope="session")
 def recordings_dir() -> Path:
     """The folder of real recordings, with manifest.json; tests that need it are skipped where it is missing."""
