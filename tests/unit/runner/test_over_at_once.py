@@ -31,10 +31,11 @@ BORN = {"StartedAt": "2026", "OOMKilled": False}
 
 
 class Podman(BaseHTTPRequestHandler):
-    """Has made and started one container, which is over once somebody waits for that."""
+    """Has made and started one container, which is over once somebody waits for that, or that many looks later."""
 
     pid: ClassVar[int]
     stumbles: ClassVar[int]
+    looks: ClassVar[int]
     done: ClassVar[set[str]]
 
     def do_GET(self) -> None:
@@ -57,6 +58,8 @@ class Podman(BaseHTTPRequestHandler):
 
     def _state(self) -> dict[str, object]:
         if "wait" in self.done:
+            type(self).looks -= 1
+        if self.looks < 0:
             return {**BORN, "Status": "exited", "Pid": 0, "ExitCode": 1, "FinishedAt": "2026"}
         return {**BORN, "Status": "running", "Pid": self.pid, "ExitCode": 0, "FinishedAt": "0001-"}
 
@@ -65,7 +68,7 @@ class Podman(BaseHTTPRequestHandler):
         self.rfile.read(int(self.headers["Content-Length"]))
         name = self.path.partition("?")[0].rpartition("/")[2]
         self.done.add(name)
-        self._say(200, b"" if name == "attach" else b"{}")
+        self._say(500 if self.looks and name == "wait" else 200, b"" if name == "attach" else b"{}")
 
     def log_message(self, *_: object) -> None:
         """Say nothing."""
@@ -131,7 +134,7 @@ def has_memory(pid: int) -> bool:
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
-    Podman.done, Podman.stumbles = set(), 0
+    Podman.done, Podman.stumbles, Podman.looks = set(), 0, 0
     with socketserver.ThreadingUnixStreamServer(str(tmp_path / "socket"), Podman) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -140,13 +143,25 @@ def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
         thread.join()
 
 
+def a_run(folder: Path) -> Work:
+    (folder / "run").mkdir()
+    return Work("a-run", folder / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
+
+
 @pytest.mark.parametrize(("how", "stumbles"), [("ending", 0), ("unreaped", 0), ("gone", 0), ("gone", 1)])
 def test_a_command_that_is_not_there_is_told(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
     """The control groups of such a process are the machine's own, and Podman may stumble over it."""
-    work = Work("a-run", tmp_path / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
-    work.folder.mkdir()
+    work = a_run(tmp_path)
     Podman.stumbles = stumbles
     with first_process(how) as Podman.pid, pytest.raises(CannotStart, match="/usr/bin/odd: No such file") as caught:
         executor.start(work)
     assert caught.value.ending.reason is EndReason.command_not_found
     assert not (work.folder / ward.USAGE).exists(), "what the whole machine uses was told as the run's"
+
+
+def test_to_wait_for_its_end_may_fail(executor: DockerExecutor, tmp_path: Path) -> None:
+    work = a_run(tmp_path)
+    Podman.looks = 2
+    with first_process("gone") as Podman.pid, pytest.raises(CannotStart) as caught:
+        executor.start(work)
+    assert caught.value.ending.reason is EndReason.command_not_found

@@ -71,7 +71,7 @@ class Warden:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         try:
             self._watch(self._begin())
-            why, exit_code = self._end_of(self._find_now())
+            why, exit_code = self._end_of(self._find_over())
         except (Refused, OSError) as error:
             why, exit_code = _why_not(error), None
         except EngineAway as error:
@@ -156,7 +156,7 @@ class Warden:
             if first and any(each and each != first for each in mine):
                 return True
             self._over.wait(0.002)
-        return not self._over.is_set() or self._no_command(self._find_now()) is None
+        return not self._over.is_set() or self._no_command(self._find_over()) is None
 
     def _no_command(self, found: Container | None) -> str | None:
         """Return what keeps the command from running, if its container ended by that."""
@@ -274,11 +274,15 @@ class Warden:
             time.sleep(_RETRY_EVERY_S)
         return ask()
 
-    def _find_now(self) -> Container | None:
+    def _find_over(self) -> Container | None:
+        """Return the container, over by the engine's word: to have waited for its end may have failed."""
+        until = time.monotonic() + _TOLD_TO_BE_OVER_S
         try:
-            return self._find()
+            while (found := self._find()) is not None and found.status == "running" and time.monotonic() < until:
+                time.sleep(_LOOK_EVERY_S)
         except EngineAway:
             return None
+        return found
 
     def _keep_log(self, written: Iterator[list[Piece]]) -> None:
         with self._log as log:
@@ -310,7 +314,8 @@ class Warden:
         """Return how it ended, and the exit code where that is the command's word."""
         if self._why is not None:
             return self._why, None
-        if found is None:
+        # Of what is said to run still, the exit code means nothing.
+        if found is None or found.status == "running":
             return _LOST, None
         if (failure := self._no_command(found)) is not None:
             return ("command_not_found", _could_not_start(failure)), None
@@ -336,7 +341,7 @@ class Warden:
             if found.exit_code != _KILLED or self._was_alone or time.monotonic() > until:
                 return False
             time.sleep(_LOOK_EVERY_S)
-            found = self._find_now()
+            found = self._find_over()
         return found is not None
 
     def _leave(self, why: tuple[str, str], exit_code: int | None) -> None:
