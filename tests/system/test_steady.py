@@ -14,6 +14,7 @@ from benchmarks.scale import seed
 from benchmarks.scale.places import seeded
 
 from tests.system.house import House
+from tests.system.rig.rounds import say
 
 _SECONDS = float(os.environ.get("KLEINKRAM_SOAK_S", "3600"))
 _CLIENTS, _LOOKS = 10, 60
@@ -37,6 +38,7 @@ def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
                 taken[name].append(part.memory_full_info().pss / 1e6)
             time.sleep(_SECONDS / _LOOKS)
         told = json.loads(crowd.stdout.read()) if crowd.stdout else {}
+        say(f"{told['answers']} answers in {_SECONDS:.0f} s")
         assert told["answers"] > 0
         assert told["errors"] == []
     finally:
@@ -44,4 +46,5 @@ def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
     for name, mb in taken.items():
         third = len(mb) // 3
         middle, last = statistics.median(mb[third : 2 * third]), statistics.median(mb[2 * third :])
+        say(f"{name}: {mb[0]:.0f} MB at first, {middle:.0f} in the second third, {last:.0f} in the last")
         assert last <= middle * _MOST_GROWTH + _SLACK_MB, f"{name} grew from {middle:.0f} to {last:.0f} MB: {mb}"
