@@ -27,7 +27,7 @@ def socket(podman: Podman, tmp_path: Path) -> str:  # noqa: F811  the fixture
 def test_the_demo_runs_its_script_in_a_container(socket: str) -> None:
     environment = {**os.environ, "DOCKER_HOST": socket}
     command = [sys.executable, str(DEMO)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=900)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert "Run a script on the mission, as a container" in done.stdout
 

@@ -6,7 +6,7 @@ import datetime
 import hashlib
 import json
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,31 +52,34 @@ class Rows:
 
 
 async def fetch_page(
-    db: Connection, statement: Select[Any], order: Order, request: PageRequest, *, counted: Select[Any] | None = None
+    db: Connection,
+    statement: Select[Any],
+    order: Order,
+    request: PageRequest,
+    *,
+    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
 ) -> Rows:
-    """Run a select for one page; `counted` is one of the same rows, before what describes them was joined.
+    """Run a select for one page.
+
+    With `described`, the select only finds the page: of what is walked past, no more is read than decides. The rows
+    are then those that `described` selects for the page's ids, the last column of the order.
 
     Raises:
         InvalidCursor: the cursor is not one of this list in this order.
     """
     total = None
     if request.count:
-        # Of the rows alone: what stands in them costs much to describe, and nothing of it is counted.
-        rows_alone = statement if counted is None else counted
-        bare = rows_alone.with_only_columns(order.columns[-1]).order_by(None)
+        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
         total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
         if not total and not request.cursor:  # nothing to go through everything for once more
             return Rows([], None, 0)
     keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
-    paged = statement.add_columns(*keys).limit(request.limit + 1)
-    if request.cursor:
-        given = _decode(request.cursor, order)
-        after = tuple_(*(literal(value) for value in given))
-        row, first = tuple_(*order.columns), order.columns[0]
-        # The first column is said once more, by itself: where the others are of other tables, its index still serves.
-        ahead = first <= literal(given[0]) if order.descending else first >= literal(given[0])
-        paged = paged.where(ahead, row < after if order.descending else row > after)
-    paged = paged.order_by(*(column.desc() if order.descending else column.asc() for column in order.columns))
+    if described is None:
+        paged = _first(statement.add_columns(*keys), order, request)
+    else:
+        found = statement.with_only_columns(*keys, maintain_column_froms=True)
+        page = _first(found, order, request).subquery("page")
+        paged = _in_order(described(page.c[keys[-1].name]).add_columns(*page.c), page.c, order)
     try:
         rows = (await db.execute(paged)).all()
     except (DataError, ProgrammingError, UnicodeEncodeError) as error:
@@ -86,6 +89,22 @@ async def fetch_page(
     more = len(rows) > request.limit
     items = rows[: request.limit]
     return Rows(items, _encode(items[-1], order) if more else None, total)
+
+
+def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select[Any]:
+    """Return the rows of a page, and one more where there are more."""
+    if request.cursor:
+        given = _decode(request.cursor, order)
+        after = tuple_(*(literal(value) for value in given))
+        row, first = tuple_(*order.columns), order.columns[0]
+        # The first column is said once more, by itself: where the others are of other tables, its index still serves.
+        ahead = first <= literal(given[0]) if order.descending else first >= literal(given[0])
+        statement = statement.where(ahead, row < after if order.descending else row > after)
+    return _in_order(statement, order.columns, order).limit(request.limit + 1)
+
+
+def _in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
+    return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
 
 
 def place_of(cursor: str, order: Order) -> list[Any]:

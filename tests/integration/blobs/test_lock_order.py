@@ -48,3 +48,33 @@ def test_a_blob_is_linked_while_what_it_holds_is_kept(api: Api, keep: _Keep, lin
     with racing(api, "SELECT 1 FROM blob WHERE id = %s FOR UPDATE", blob_id) as send:
         works = [send(work) for work in ([link, read] if link_first else [read, link])]
     assert {work.result(30) for work in works} == {"linked", "kept"}
+
+
+@pytest.mark.parametrize("link_first", [True, False])
+def test_a_file_begins_when_its_blob_does_whichever_of_reading_and_linking_came_first(
+    api: Api, link_first: bool
+) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    body = os.urandom(1000)
+    file = upload(api, mission_id, "a.bin", body)
+    [[blob_id]] = api.sql("SELECT blob_id FROM file WHERE id = %s", file["id"])
+    read = RecordingSummary(RecordingFormat.mcap, Content.indexed, start_ns=5, end_ns=9)
+
+    def link() -> None:
+        assert begin(api, mission_id, {"b.bin": body})[0]["decision"] == "linked"
+
+    def keep() -> None:
+        async def work(site: Site) -> None:
+            async with site.database.begin() as db:
+                await service.keep_summary(db, blob_id, read)
+
+        on_site(api, work)
+
+    with racing(api, "SELECT 1 FROM blob WHERE id = %s FOR UPDATE", blob_id) as send:
+        works = [send(work) for work in ([link, keep] if link_first else [keep, link])]
+    for work in works:
+        work.result(30)
+    starts = "SELECT path, file.start_ns FROM file WHERE blob_id = %s ORDER BY path"
+    assert api.sql(starts, blob_id) == [("a.bin", 5), ("b.bin", 5)]
+    api.sql("UPDATE blob SET start_ns = NULL, end_ns = NULL WHERE id = %s", blob_id)
+    assert api.sql(starts, blob_id) == [("a.bin", None), ("b.bin", None)]

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
+from kleinkram.server.search.words import MOST_WORDS
 from tests.integration import people
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
@@ -160,6 +161,16 @@ def test_what_is_wrong_with_a_query_is_said_with_its_column(lab: Api, path: str)
     problem = lab.get(path, {"query": "alps topc:/imu"}).refused(422, "invalid_query")
     assert (problem["expression"], problem["column"]) == ("topc:/imu", 6)
     assert "did you mean 'topic'?" in problem["detail"]
+
+
+@pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/projects", "/topics", "/stats"])
+def test_a_search_has_so_many_words_and_no_more(lab: Api, path: str) -> None:
+    asked = "text" if path == "/projects" else "query"
+    words = [f"word{number}" for number in range(MOST_WORDS + 1)]
+    lab.get(path, {asked: " ".join(words[1:])}).ok()
+    problem = lab.get(path, {asked: " ".join(words)}).refused(422, "invalid_query")
+    assert problem["expression"] == f"word{MOST_WORDS}"
+    assert "put those that stand side by side in quotes" in problem["detail"]
 
 
 def _facets(api: Api, text: str) -> dict[str, dict[str, int]]:

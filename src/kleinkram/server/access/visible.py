@@ -73,7 +73,7 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    stmt = _joined_files().where(*live, _reaches_file(actor, right))
+    stmt = joined_files().where(*live, _reaches_file(actor, right))
     return stmt if actor.few_mission_ids is None else stmt.where(among(file.c.mission_id, actor.few_mission_ids))
 
 
@@ -83,7 +83,18 @@ def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[An
     Their grants are not looked up again.
     """
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return _joined_files().where(*live, shown_files(actor), among(file.c.mission_id, mission_ids))
+    return joined_files().where(*live, shown_files(actor), among(file.c.mission_id, mission_ids))
+
+
+def joined_files() -> Select[Any]:
+    """Return all files joined with their missions, projects and blobs: nothing is said here of who sees them."""
+    # Each file has its blob. As an outer join the database leaves it out where nothing is asked of blobs.
+    return (
+        select(file)
+        .join(mission, mission.c.id == file.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .outerjoin(blob, blob.c.id == file.c.blob_id)
+    )
 
 
 def reached_projects(actor: Actor) -> Select[Any]:
@@ -120,7 +131,7 @@ def trashed_missions(actor: Actor) -> Select[Any]:
 
 def trashed_files(actor: Actor) -> Select[Any]:
     """Return the files in the trash by themselves that `actor` may have back, joined as in `visible_files`."""
-    return _joined_files().where(file.c.deleted_at.is_not(None), _reaches_file(actor, Right.delete))
+    return joined_files().where(file.c.deleted_at.is_not(None), _reaches_file(actor, Right.delete))
 
 
 def sees_whole_missions(actor: Actor) -> bool:
@@ -269,16 +280,6 @@ def _granted_where(actor: Actor) -> Select[Any]:
         .join_from(granted, group, (group.c.id == granted.c.group_id) & (group.c.kind != GroupKind.email.value))
         .join(theirs, theirs.c.group_id == group.c.id)
         .where(shared, unexpired(granted.c.expires_at), unexpired(theirs.c.expires_at))
-    )
-
-
-def _joined_files() -> Select[Any]:
-    # Each file has its blob. As an outer join the database leaves it out where nothing is asked of blobs.
-    return (
-        select(file)
-        .join(mission, mission.c.id == file.c.mission_id)
-        .join(project, project.c.id == mission.c.project_id)
-        .outerjoin(blob, blob.c.id == file.c.blob_id)
     )
 
 

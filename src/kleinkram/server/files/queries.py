@@ -31,7 +31,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import files_of_seen, visible_files, visible_missions
+from kleinkram.server.access.visible import files_of_seen, joined_files, visible_files, visible_missions
 from kleinkram.server.db import among
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Order
@@ -88,9 +88,13 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 
 def file_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
-    # Said once more for the database, which may then begin with the blobs where these order the files.
-    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True).where(blob.c.id.is_not(None))
+    narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
+
+
+def rows_of_found(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+    """Return the same rows of files that the very statement around it has found among the visible ones."""
+    return file_rows(joined_files().where(file.c.id == file_id))
 
 
 def to_file(row: Row[Any]) -> FileRead:
@@ -178,7 +182,7 @@ def file_order(actor: Actor, sort: FileSort) -> Order:
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,
         "size": blob.c.size_bytes,
-        "start": func.coalesce(blob.c.start_ns, unknown),
+        "start": func.coalesce(file.c.start_ns, unknown),
     }
     return Order([columns[key], file.c.id], descending)
 

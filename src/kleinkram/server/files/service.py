@@ -85,7 +85,7 @@ async def list_files(
         return listed.model_copy(update={"total": total})
     rows = await _first_missions(db, actor, matching, order, page) if sort in _BY_PATH else None
     if rows is None:
-        rows = await fetch_page(db, queries.file_rows(found), order, page, counted=found)
+        rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -102,7 +102,7 @@ async def _first_missions(
     ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)
     mission_ids = (await db.execute(ahead)).scalars().all()
     found = queries.matching_files_of(actor, mission_ids, matching)
-    rows = await fetch_page(db, queries.file_rows(found), order, page)
+    rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
     return rows if rows.next is not None or len(mission_ids) < _MISSIONS_AHEAD else None
 
 

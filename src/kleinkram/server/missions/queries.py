@@ -55,6 +55,12 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
 
+def rows_of_found(actor: Actor, mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+    """Return the same rows of missions that the very statement around it has found among the visible ones."""
+    joined = select(mission).join(project, project.c.id == mission.c.project_id)
+    return mission_rows(actor, joined.where(mission.c.id == mission_id))
+
+
 def to_mission(row: Row[Any]) -> MissionRead:
     """Return the mission that a row of `mission_rows` stands for."""
     file_count, size_bytes, message_count, pending = (int(number) for number in row.amounts)

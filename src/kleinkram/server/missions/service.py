@@ -7,6 +7,7 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 import asyncio
 import uuid
 from collections.abc import Collection
+from functools import partial
 from typing import Any
 
 from sqlalchemy import Row, Update, func, insert
@@ -110,8 +111,8 @@ async def list_missions(
         InvalidCursor: the cursor is not of this list.
     """
     matched = queries.matching_missions(actor, matching, found)
-    described = queries.mission_rows(actor, matched)
-    rows = await fetch_page(db, described, queries.mission_order(actor, sort), page, counted=matched)
+    described = partial(queries.rows_of_found, actor)
+    rows = await fetch_page(db, matched, queries.mission_order(actor, sort), page, described=described)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 

@@ -91,7 +91,7 @@ def _found(actor: Actor, matching: FileFilter, name: str, most: int, *, is_drawn
         project.c.name.label("project"),
         blob.c.format,
         blob.c.content,
-        blob.c.start_ns,
+        file.c.start_ns,
     )
     found = narrow_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
     if is_drawn:

@@ -12,14 +12,13 @@ from typing import Any
 from sqlalchemy import CTE, ColumnElement, Select, and_, func, select, true
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Looked
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.db import Connection
 from kleinkram.server.search.matching import file_conditions, narrow_files
-from kleinkram.server.search.words import file_holds, has_index, look_up
-from kleinkram.server.tables import blob, file, mission
+from kleinkram.server.search.words import file_holds, has_index, look_up, words_of
+from kleinkram.server.tables import file, mission
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
 DRAWN, MANY = 500, 10
@@ -61,11 +60,11 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     The words are those of the first filter, which the others share.
 
     Raises:
-        InvalidQuery: a `where` cannot be used.
+        InvalidQuery: a `where` cannot be used, or there are too many words.
     """
     if actor.few_mission_ids is not None:
         return actor, None
-    words = phrases(filters[0].text or "")
+    words = words_of(filters[0].text)
     actor = replace(actor, looked=Looked(await look_up(db, actor, words)))
     conditions = [and_(true(), *file_conditions(actor, each)) for each in filters]
     if actor.looked.finds_nothing:
@@ -89,7 +88,7 @@ def _tried(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[An
     drawn = drawn_files()
     holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
     seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
-    tried = seen.with_only_columns(*holding, blob.c.start_ns, maintain_column_froms=True)
+    tried = seen.with_only_columns(*holding, file.c.start_ns, maintain_column_froms=True)
     # With a limit the database tries each once, and not for each of the numbers anew.
     each = tried.limit(DRAWN).subquery()
     held = [each.c[condition.name] for condition in holding]

@@ -30,14 +30,13 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
 from kleinkram.contract.query.parsing import parse_term
-from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.db import among
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.where import condition
-from kleinkram.server.search.words import file_holds, mission_holds
+from kleinkram.server.search.words import file_holds, mission_holds, words_of
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 Conditions = list[ColumnElement[bool]]
@@ -129,7 +128,7 @@ def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
 
 def words_in(column: ColumnElement[str], matching: FileFilter) -> ColumnElement[int]:
     """Return how many of the words of a filter a text holds."""
-    held = [case((holds_word(column, word), 1), else_=0) for word in phrases(matching.text or "")]
+    held = [case((holds_word(column, word), 1), else_=0) for word in words_of(matching.text)]
     return sum(held, literal(0, Integer))
 
 
@@ -142,7 +141,7 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if actor.looked.file_ids is not None:
         return [among(file.c.id, actor.looked.file_ids)]
     _refuse_metadata(actor, matching)
-    conditions = _place(matching) + _span(matching, blob.c.start_ns, blob.c.end_ns) + _begun(matching)
+    conditions = _place(matching) + _span(matching, file.c.start_ns, blob.c.end_ns) + _begun(matching)
     conditions += _bytes(matching)
     if matching.mission is not None:
         conditions.append(matches_key(mission.c.name_key, matching.mission))
@@ -208,7 +207,7 @@ def _span(
 def _begun(matching: FileFilter) -> Conditions:
     """Return what follows of a span for when a file begins, said as the index of that has it."""
     conditions: Conditions = []
-    begun = func.coalesce(blob.c.start_ns, literal(_NEVER, BigInteger))
+    begun = func.coalesce(file.c.start_ns, literal(_NEVER, BigInteger))
     if matching.recorded_before is not None:
         conditions.append(begun <= nanoseconds(matching.recorded_before))
     if matching.recorded_after is not None and (after_ns := nanoseconds(matching.recorded_after)) > 0:
@@ -245,7 +244,7 @@ def _bytes(matching: FileFilter) -> Conditions:
 def _began_in(month: str) -> ColumnElement[bool]:
     first = datetime.datetime.fromisoformat(f"{month}-01").replace(tzinfo=datetime.timezone.utc)
     following = (first + datetime.timedelta(days=31)).replace(day=1)
-    return and_(blob.c.start_ns >= nanoseconds(first), blob.c.start_ns < nanoseconds(following))
+    return and_(file.c.start_ns >= nanoseconds(first), file.c.start_ns < nanoseconds(following))
 
 
 def _topic_conditions(matching: MissionFilter | FileFilter) -> Conditions:
@@ -278,7 +277,7 @@ def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnEleme
 
 
 def _words(text: str | None, holds: Callable[[str], ColumnElement[bool]]) -> Conditions:
-    return [holds(word) for word in phrases(text or "")]
+    return [holds(word) for word in words_of(text)]
 
 
 def _refuse_metadata(actor: Actor, matching: MissionFilter | FileFilter) -> None:

@@ -27,6 +27,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
+from kleinkram.contract.errors import InvalidQuery
+from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Said
 from kleinkram.server.access.visible import sees_whole_missions
@@ -35,6 +37,8 @@ from kleinkram.server.search.globs import holds_word, key_holds_word
 from kleinkram.server.tables import file, mission, project, topic, topic_name
 
 Conditions = list[ColumnElement[bool]]
+# Each is looked for in every place where a word can stand.
+MOST_WORDS = 20
 # Places of one kind that are named.
 _MOST = 500
 # Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
@@ -43,6 +47,19 @@ _FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
 _LOOKED_UP = re.compile(r"[^\W_]{3}")
 # What JSON writes otherwise than it is.
 _ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
+
+
+def words_of(text: str | None) -> list[str]:
+    """Return the words of the `text` of a filter.
+
+    Raises:
+        InvalidQuery: there are more than `MOST_WORDS`.
+    """
+    words = phrases(text or "")
+    if len(words) > MOST_WORDS:
+        reason = f"a search has at most {MOST_WORDS} words; put those that stand side by side in quotes"
+        raise InvalidQuery(expression=words[MOST_WORDS], reason=reason)
+    return words
 
 
 def has_index(word: str) -> bool:

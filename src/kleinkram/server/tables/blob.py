@@ -72,8 +72,6 @@ blob = Table(
     Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
     # Whose proof is the oldest.
     Index("ix_blob_proven_at", "proven_at", postgresql_where=text("state = 'proven' AND doomed_at IS NULL")),
-    # The order in which searches show files: the latest first, those without a time last.
-    Index("ix_blob_begun", text("coalesce(start_ns, '-9223372036854775808'::bigint)")),
     # How long the longest lasts bounds where one begins that was under way at some time.
     Index("ix_blob_duration", text("(end_ns::numeric - start_ns::numeric)")),
     Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),

@@ -50,6 +50,8 @@ file = Table(
     # A recording is derived from its files; dropping it never takes one with it.
     Column("recording_id", Uuid, ForeignKey("recording.id", ondelete="SET NULL"), index=True),
     Column("blob_id", Uuid, ForeignKey("blob.id"), nullable=False, index=True),
+    # That of its blob. Triggers keep it.
+    Column("start_ns", BigInteger),
     sorted_text("path"),
     sorted_text("path_key"),
     Column("origin", Text, nullable=False),
@@ -64,6 +66,15 @@ file = Table(
     Index("uq_file_path_key_live", "mission_id", "path_key", unique=True, postgresql_where=text("deleted_at IS NULL")),
     Index("ix_file_path", "mission_id", "path", "id"),
     Index("ix_file_created_at", "created_at", "id"),
+    # The order in which searches show files: the latest first, those without a time last. What decides whether a file
+    # is shown stands in it too.
+    Index(
+        "ix_file_begun",
+        text("coalesce(start_ns, '-9223372036854775808'::bigint)"),
+        "id",
+        postgresql_where=text("deleted_at IS NULL"),
+        postgresql_include=["start_ns", "blob_id", "mission_id"],
+    ),
     Index("ix_file_deleted_at", "deleted_at", postgresql_where=text("deleted_at IS NOT NULL")),
     Index("ix_file_labels", "labels", postgresql_using="gin"),
     # For words of searches.
