@@ -2,6 +2,7 @@
 
 import copy
 import datetime
+import os
 import random
 import uuid
 from typing import Any
@@ -31,6 +32,7 @@ from tests.integration.running import Answer, Api
 _PEOPLE = ("ada", "bob", "cyd")
 _GROUPS = ("lab", "crew")
 _STEPS = 25
+_MANY = int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "1500"))
 _UNTIL = datetime.datetime(2090, 1, 1, tzinfo=datetime.timezone.utc)
 
 
@@ -329,7 +331,7 @@ def test_rights_are_the_highest_grant_that_is_not_over_and_projects_keep_an_owne
 
 
 @pytest.mark.soak
-@settings(max_examples=1500, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
+@settings(max_examples=_MANY, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
 def test_rights_through_many_long_histories(api: Api, seed: int) -> None:
     live_through(api, seed, steps=60)

@@ -1,6 +1,7 @@
 """Uploads and blobs through random histories: `docs/states.md` is all that ever happens to them."""
 
 import inspect
+import os
 import traceback
 from collections.abc import Iterator
 
@@ -66,4 +67,4 @@ def test_a_planted_fault_is_found(machine: type[Machine], fault: Fault) -> None:
 
 @pytest.mark.soak
 def test_long_histories_of_uploads_and_blobs(machine: type[Machine]) -> None:
-    _live(machine, examples=300, steps=60)
+    _live(machine, examples=int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "300")), steps=60)
