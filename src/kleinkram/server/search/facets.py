@@ -16,7 +16,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import choosing
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, variants
-from kleinkram.server.search.looking import look_ahead
+from kleinkram.server.search.looking import let_join, look_ahead
 from kleinkram.server.search.queries import room_to_count
 
 # Files that are looked at, and for how long; fewer where that takes too long.
@@ -38,6 +38,8 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
         chosen = list(_facets(matching, [], with_metadata=sees_whole_missions(actor)))
         return FacetsRead(query=render(matching), file_count=0, is_whole=True, facets=chosen)
     many = [] if outlook is None else [found for number, found in enumerate(each) if outlook.finds_many(number)]
+    if outlook is not None and len(many) < len(each):
+        await let_join(db, actor, freely=True)
     for most, milliseconds in _ATTEMPTS:
         rows = await _within(db, actor, matching, many, most=most, milliseconds=milliseconds)
         if rows is not None:
