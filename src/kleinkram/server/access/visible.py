@@ -83,7 +83,9 @@ def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[An
     Their grants are not looked up again.
     """
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_files().where(*live, shown_files(actor), among(file.c.mission_id, mission_ids))
+    # Said of both, so that the database may begin with either.
+    inside = (among(mission.c.id, mission_ids), among(file.c.mission_id, mission_ids))
+    return joined_files().where(*live, shown_files(actor), *inside)
 
 
 def joined_files() -> Select[Any]:

@@ -43,4 +43,6 @@ project = Table(
     Index("ix_project_public", "id", postgresql_where=text("is_public")),
     Index("uq_project_name_key_live", "name_key", unique=True, postgresql_where=text("deleted_at IS NULL")),
     Index("ix_project_created_at", "created_at", "id"),
+    # Lists by path begin with the first project.
+    Index("ix_project_name", "name"),
 )

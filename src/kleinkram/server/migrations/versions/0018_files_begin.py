@@ -1,7 +1,9 @@
 """When its recording begins is kept with each file, so that lists by time are walked in one index.
 
+Those by path begin with the first project, without all missions being sorted.
+
 Triggers keep it, whoever writes: a file that comes takes it from its blob, a blob that is read gives it to its files.
-With 2 million files the migration takes about two minutes.
+With 2 million files the migration takes minutes.
 """
 
 import sqlalchemy as sa
@@ -52,3 +54,4 @@ def upgrade() -> None:
         postgresql_include=["start_ns", "blob_id", "mission_id"],
     )
     op.drop_index("ix_blob_begun", table_name="blob")
+    op.create_index("ix_project_name", "project", ["name"], unique=False)
