@@ -31,13 +31,18 @@ def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
         seed.fill(parts["worker"].environ()["KLEINKRAM_DATABASE_URL"], seed.Size(1), say=lambda _text: None)
         token = (house.data_dir / "owner-token").read_text().strip()
         asked = [house.told()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]
-        crowd = subprocess.Popen([sys.executable, "-m", "benchmarks.scale.crowd", *asked], stdout=subprocess.PIPE)
         taken: dict[str, list[float]] = {name: [] for name in parts}
-        while crowd.poll() is None:
-            for name, part in parts.items():
-                taken[name].append(part.memory_full_info().pss / 1e6)
-            time.sleep(_SECONDS / _LOOKS)
-        told = json.loads(crowd.stdout.read()) if crowd.stdout else {}
+        with subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.scale.crowd", *asked], stdout=subprocess.PIPE
+        ) as crowd:
+            try:
+                while crowd.poll() is None:
+                    for name, part in parts.items():
+                        taken[name].append(part.memory_full_info().pss / 1e6)
+                    time.sleep(_SECONDS / _LOOKS)
+            finally:
+                crowd.kill()
+            told = json.loads(crowd.communicate()[0])
         say(f"{told['answers']} answers in {_SECONDS:.0f} s")
         assert told["answers"] > 0
         assert told["errors"] == []
