@@ -65,8 +65,9 @@ class Actor:
     most: Right | None = None
     # The row of the table of operations under which this request came in.
     operation: str | None = None
-    # All missions that they see, where that was asked and these are few.
+    # All missions that they see, where that was asked and these are few; or that they see many.
     few_mission_ids: frozenset[uuid.UUID] | None = None
+    sees_many: bool = False
     looked: Looked = NOTHING_LOOKED_UP
 
     @property

@@ -17,7 +17,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, SearchingActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.editions import IfMatch
 from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
@@ -35,9 +35,7 @@ class FileListQuery(FileQuery):
 
 
 @router.get("/files", operation_id="list_files")
-async def list_files(
-    query: Annotated[FileListQuery, Query()], db: Transaction, actor: SearchingActor
-) -> Page[FileRead]:
+async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[FileRead]:
     """List the files that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
     return await service.list_files(db, actor, matching=whole(query), sort=query.sort, page=page)

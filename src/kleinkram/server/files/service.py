@@ -24,6 +24,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
@@ -32,7 +33,7 @@ from kleinkram.server.editions import require_edition
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, Rows, fetch_page, place_of
+from kleinkram.server.pages import PageRequest, Rows, fetch_page, place_of
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
@@ -78,19 +79,20 @@ async def list_files(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
     if page.count and matching == FileFilter():
         total = int((await db.execute(queries.count_all(actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
-    rows = await _first_missions(db, actor, matching, order, page) if sort in _BY_PATH else None
+    rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
     if rows is None:
+        actor = await knowing_few(db, actor)
+        found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
         rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
 async def _first_missions(
-    db: Connection, actor: Actor, matching: FileFilter, order: Order, page: PageRequest
+    db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, page: PageRequest
 ) -> Rows | None:
     """Return a page of a list by path where it lies in its first missions, so that the others' files are not sorted.
 
@@ -98,6 +100,7 @@ async def _first_missions(
     """
     if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.looked.finds_few:
         return None
+    order = queries.file_order(actor, sort)
     after = place_of(page.cursor, order)[:2] if page.cursor else []
     ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)
     mission_ids = (await db.execute(ahead)).scalars().all()
