@@ -111,7 +111,8 @@ async def _create(
         await hold.confirm()
         await presence.confirm()
         snapshot = Snapshot(
-            id=f"{created_at:%Y%m%dT%H%M%SZ}-{secrets.token_hex(3)}",
+            # In the order of their names backups are the oldest first, those of one second too.
+            id=f"{created_at:%Y%m%dT%H%M%S%fZ}-{secrets.token_hex(3)}",
             created_at=created_at,
             ended_at=datetime.datetime.now(datetime.timezone.utc),
             kleinkram=kleinkram.__version__,
