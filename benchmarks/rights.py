@@ -19,7 +19,7 @@ _UNSEEN = """
 SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND relname IN
   ('person', 'access_group', 'membership', 'access_grant', 'project', 'mission', 'file', 'blob')
 """
-_TIMES = 30
+_TIMES = 100
 _LISTS = (
     "projects?limit=100",
     "missions?limit=100",
