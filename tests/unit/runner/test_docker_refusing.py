@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import socketserver
-import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
@@ -14,9 +12,9 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.docker.container import RUN_LABEL
-from kleinkram.runner.docker.engine import Engine
 from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.work import CannotStart, Work
+from tests.unit.runner.engines import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
 
@@ -56,12 +54,8 @@ class Refusing(BaseHTTPRequestHandler):
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
     Refusing.asked_to_remove.clear()
-    with socketserver.ThreadingUnixStreamServer(str(tmp_path / "socket"), Refusing) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
-        yield DockerExecutor(Engine(tmp_path / "socket"))
-        server.shutdown()
-        thread.join()
+    with with_engine(Refusing, tmp_path) as played:
+        yield played
 
 
 def a_run(folder: Path) -> Work:

@@ -6,9 +6,7 @@ import contextlib
 import json
 import os
 import signal
-import socketserver
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,10 +19,10 @@ import pytest
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward
-from kleinkram.runner.docker.engine import Engine
 from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.work import CannotStart, Work
 from tests.lacking import missing, need
+from tests.unit.runner.engines import with_engine
 
 WORDS = b"ERROR (catatonit:2): failed to exec pid1: No such file or directory\n"
 BORN = {"StartedAt": "2026", "OOMKilled": False}
@@ -135,12 +133,8 @@ def has_memory(pid: int) -> bool:
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
     Podman.done, Podman.stumbles, Podman.looks = set(), 0, 0
-    with socketserver.ThreadingUnixStreamServer(str(tmp_path / "socket"), Podman) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
-        yield DockerExecutor(Engine(tmp_path / "socket"))
-        server.shutdown()
-        thread.join()
+    with with_engine(Podman, tmp_path) as played:
+        yield played
 
 
 def a_run(folder: Path) -> Work:

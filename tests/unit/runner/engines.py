@@ -1,0 +1,26 @@
+"""Engines that are played: whatever answers requests in place of one."""
+
+from __future__ import annotations
+
+import socketserver
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+
+from kleinkram.runner.docker.engine import Engine
+from kleinkram.runner.docker.executor import DockerExecutor
+
+
+@contextmanager
+def with_engine(answering: type[BaseHTTPRequestHandler], folder: Path) -> Iterator[DockerExecutor]:
+    """Yield an executor whose engine is one that answers so, at a socket in a folder."""
+    with socketserver.ThreadingUnixStreamServer(str(folder / "socket"), answering) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        try:
+            yield DockerExecutor(Engine(folder / "socket"))
+        finally:
+            server.shutdown()
+            thread.join()
