@@ -102,6 +102,8 @@ def ending_process() -> Iterator[int]:
         pid = int(Path(f"/proc/{house.pid}/task/{house.pid}/children").read_text())
         with says_made("nsenter", "--target", str(pid), *namespaces) as guest:
             guest.send_signal(signal.SIGSTOP)
+            # Until it has stopped it would still reap.
+            os.waitid(os.P_PID, guest.pid, os.WSTOPPED)
             os.kill(pid, signal.SIGKILL)
             try:
                 until = time.monotonic() + 20
