@@ -31,7 +31,13 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import files_of_seen, joined_files, visible_files, visible_missions
+from kleinkram.server.access.visible import (
+    files_of_seen,
+    joined_files,
+    missions_by_project,
+    visible_files,
+    visible_missions,
+)
 from kleinkram.server.db import among
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Order
@@ -198,7 +204,7 @@ def missions_ahead(
 ) -> Select[Any]:
     """Return the ids of the first missions of a list by path, from those named `after` (project and mission) on."""
     named = (project.c.name, mission.c.name)
-    stmt = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    stmt = missions_by_project(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
     if matching.project_id is not None:
         stmt = stmt.where(project.c.id == matching.project_id)
     if after:

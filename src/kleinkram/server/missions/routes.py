@@ -43,7 +43,8 @@ async def list_missions(
     """List the missions that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
     found = None if query.query is None else parse(query.query)
-    return await service.list_missions(db, actor, matching=query, found=found, sort=query.sort, page=page)
+    matching = MissionFilter.model_construct(**{name: getattr(query, name) for name in MissionFilter.model_fields})
+    return await service.list_missions(db, actor, matching=matching, found=found, sort=query.sort, page=page)
 
 
 @router.get("/missions/{mission_id}", operation_id="get_mission")

@@ -7,6 +7,7 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 import asyncio
 import uuid
 from collections.abc import Collection
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -29,7 +30,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
-from kleinkram.server.access.visible import sees_whole_missions
+from kleinkram.server.access.visible import count_missions, sees_whole_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.editions import require_edition
@@ -110,6 +111,11 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
+    if page.count and found is None and matching == MissionFilter():
+        total = int((await db.execute(count_missions(actor))).scalar_one())
+        page = replace(page, count=False)
+        listed = await list_missions(db, actor, matching=matching, sort=sort, page=page)
+        return listed.model_copy(update={"total": total})
     matched = queries.matching_missions(actor, matching, found)
     described = partial(queries.rows_of_found, actor)
     rows = await fetch_page(db, matched, queries.mission_order(actor, sort), page, described=described)

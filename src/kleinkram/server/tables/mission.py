@@ -52,8 +52,14 @@ mission = Table(
     CheckConstraint("jsonb_typeof(metadata) = 'object'", name="metadata"),
     CheckConstraint("(start_ns IS NULL) = (end_ns IS NULL) AND start_ns <= end_ns", name="span"),
     CheckConstraint("(deleted_at IS NULL) = (deleted_by_id IS NULL)", name="deleted"),
+    # With their ids, so that who may see which are counted by it alone.
     Index(
-        "uq_mission_name_key_live", "project_id", "name_key", unique=True, postgresql_where=text("deleted_at IS NULL")
+        "uq_mission_name_key_live",
+        "project_id",
+        "name_key",
+        unique=True,
+        postgresql_where=text("deleted_at IS NULL"),
+        postgresql_include=["id"],
     ),
     Index("ix_mission_name", "name", "id"),
     Index("ix_mission_created_at", "created_at", "id"),
