@@ -7,6 +7,7 @@ import statistics
 import sys
 import time
 import urllib.request
+from collections.abc import Iterator
 
 import psutil
 
@@ -20,6 +21,7 @@ from benchmarks.signing_in import sign_in_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
 from benchmarks.web import web_rows
 
+Row = dict[str, object]
 ROWS = {
     "memory",
     "transfers",
@@ -40,72 +42,78 @@ STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
 def main() -> None:
-    """Measure the rows that are named (`python -m benchmarks small starts`), or everything; print the table."""
+    """Measure the rows that are named (`python -m benchmarks small starts`), or everything; each is told at once."""
     wanted = set(sys.argv[1:]) or ROWS
     if unknown := wanted - ROWS:
         raise SystemExit(f"no rows called {', '.join(sorted(unknown))}; there are {', '.join(sorted(ROWS))}")
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir()
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
+    print("| what | measured | bar | met |\n|---|---|---|---|", flush=True)
+    for row in measured(wanted):
+        also = f"; {row['also']}" if "also" in row else ""
+        told_of_it = f"{row['measured']}{also} | {row['bar']} | {'yes' if row['met'] else 'NO'}"
+        print(f"| {row['what']} | {told_of_it} |", flush=True)
+        rows.append(row)
+        (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def measured(wanted: set[str]) -> Iterator[Row]:
+    """Yield the rows that are wanted, as they are measured."""
     if wanted != {"recordings"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in wanted:
         with instance():
-            rows.append(memory_row())
+            yield memory_row()
     if wanted & {"transfers", "small", "summaries"}:
-        rows += rows_of_an_instance(wanted)
+        yield from rows_of_an_instance(wanted)
     if "people" in wanted:
         with instance():
-            rows.append(sign_in_row(told()["url"], (DATA / "owner-token").read_text().strip()))
+            yield sign_in_row(told()["url"], (DATA / "owner-token").read_text().strip())
     if "recordings" in wanted:
-        rows += recording_rows(STAGE / "recordings")
+        yield from recording_rows(STAGE / "recordings")
     if "starts" in wanted:
-        rows += start_rows()
+        yield from start_rows()
     if "rights" in wanted:  # it leaves much behind
         with instance() as environment:
             owner_token = (DATA / "owner-token").read_text().strip()
-            rows.append(rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"]))
+            yield rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"])
     if wanted & {"runs", "claims"}:
-        rows += rows_of_runs(wanted)
+        yield from rows_of_runs(wanted)
     if "web" in wanted:
-        rows += rows_of_the_web()
+        yield from rows_of_the_web()
     if "scale" in wanted:
         for size in SIZES:
-            rows += rows_of_a_size(size)
-    (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
-    print_table(rows)
+            yield from rows_of_a_size(size)
 
 
-def rows_of_an_instance(wanted: set[str]) -> list[dict[str, object]]:
+def rows_of_an_instance(wanted: set[str]) -> Iterator[Row]:
     """Measure against one instance."""
-    rows: list[dict[str, object]] = []
     with instance() as environment:
         if "transfers" in wanted:
-            rows += [upload_row(environment), download_row(environment)]
+            yield upload_row(environment)
+            yield download_row(environment)
         if "small" in wanted:
-            rows.append(small_files_row(environment))
+            yield small_files_row(environment)
         if "summaries" in wanted:
-            rows += summary_rows(environment)
-    return rows
+            yield from summary_rows(environment)
 
 
-def rows_of_runs(wanted: set[str]) -> list[dict[str, object]]:
+def rows_of_runs(wanted: set[str]) -> Iterator[Row]:
     """Measure runs and claims, on an instance of their own."""
     shutil.rmtree(DATA, ignore_errors=True)
-    rows: list[dict[str, object]] = []
     with instance() as environment:
         klein("project", "create", "bench")
         owner_token = (DATA / "owner-token").read_text().strip()
         if "runs" in wanted:
-            rows += run_rows(told()["url"], owner_token, STAGE / "runs", mission_with)
+            yield from run_rows(told()["url"], owner_token, STAGE / "runs", mission_with)
         if "claims" in wanted:
             mission_id = mission_with("claims", random_file(STAGE / "claims.bin", 1000))
-            rows.append(claims_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id))
-    return rows
+            yield claims_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id)
 
 
-def rows_of_a_size(size: int) -> list[dict[str, object]]:
+def rows_of_a_size(size: int) -> Iterator[Row]:
     """Measure an instance filled to a size."""
     shutil.rmtree(DATA, ignore_errors=True)
     with instance() as environment:
@@ -113,13 +121,12 @@ def rows_of_a_size(size: int) -> list[dict[str, object]]:
         secret = json.loads((DATA / "secrets.json").read_text())["postgres_migrate"]
         address = environment["KLEINKRAM_DATABASE_URL"].split("@", 1)[1]
         owner_url = f"postgresql://kleinkram_migrate:{secret}@{address}"
-        rows = scale_rows(size, told()["url"], owner_token, environment, owner_url=owner_url)
+        yield from scale_rows(size, told()["url"], owner_token, environment, owner_url=owner_url)
         if size == 1:
-            rows += many_small_rows(environment)
-    return rows
+            yield from many_small_rows(environment)
 
 
-def rows_of_the_web() -> list[dict[str, object]]:
+def rows_of_the_web() -> list[Row]:
     """Measure the web interface, on an instance of its own."""
     shutil.rmtree(DATA, ignore_errors=True)
     folder = STAGE / "web"
@@ -128,7 +135,7 @@ def rows_of_the_web() -> list[dict[str, object]]:
         return web_rows(klein, told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], folder)
 
 
-def memory_row() -> dict[str, object]:
+def memory_row() -> Row:
     """Memory of everything, after 1 GB came and went."""
     source = random_file(STAGE / "gigabyte" / "memory.bin", GB)
     klein("upload", "-p", "bench", "-m", "memory", "--create", str(source))
@@ -155,7 +162,7 @@ def pss_mb(process: psutil.Process) -> float:
     return float(process.memory_full_info().pss / 1e6)
 
 
-def start_rows() -> list[dict[str, object]]:
+def start_rows() -> list[Row]:
     """Warm starts: from the command to the first answer, and to the first real PUT."""
     small = random_file(STAGE / "put.bin", 1000)
     answers, puts = [], []
@@ -179,14 +186,6 @@ def start_rows() -> list[dict[str, object]]:
         }
         for what, seconds in (("the first answer", answers), ("the first real PUT (by a new client)", puts))
     ]
-
-
-def print_table(rows: list[dict[str, object]]) -> None:
-    """Print the table as Markdown."""
-    print("| what | measured | bar | met |\n|---|---|---|---|")
-    for row in rows:
-        also = f"; {row['also']}" if "also" in row else ""
-        print(f"| {row['what']} | {row['measured']}{also} | {row['bar']} | {'yes' if row['met'] else 'NO'} |")
 
 
 if __name__ == "__main__":

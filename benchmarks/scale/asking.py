@@ -5,7 +5,7 @@ import math
 import os
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import httpx
@@ -31,27 +31,23 @@ def list_rows(
     statements: Mapping[str, list[Statement]],
     database_url: str,
     places: list[Place],
-) -> list[Row]:
+) -> Iterator[Row]:
     """Ask for every place as `admin`, in turn with the same as `reader`; both by one client, one after the other."""
-    rows: list[Row] = []
     ratios: dict[str, float] = {}
     with urllib3.PoolManager(retries=False, timeout=120) as pool:
         for place in places:
             times = _ask_in_turn(pool, url, place, tokens)
             ratios[place.name] = statistics.median(times["reader"]) / statistics.median(times["admin"])
             bare_ms = statistics.mean(_bare(statements[place.path], database_url, _TIMES if place.most_ms else _SELDOM))
-            rows.append(_row(label, place, times["admin"], bare_ms))
+            yield _row(label, place, times["admin"], bare_ms)
     worst = max(ratios, key=lambda name: ratios[name])
-    rows.append(
-        {
-            "what": f"{label}: the same as an ordinary person with many grants, beside an admin",
-            "measured": f"median {statistics.median(ratios.values()):.2f} x, worst {ratios[worst]:.2f} x ({worst})",
-            "bar": f"<= {_MOST_BESIDE_ADMIN} x",
-            "met": ratios[worst] <= _MOST_BESIDE_ADMIN,
-            "ratios": ratios,
-        }
-    )
-    return rows
+    yield {
+        "what": f"{label}: the same as an ordinary person with many grants, beside an admin",
+        "measured": f"median {statistics.median(ratios.values()):.2f} x, worst {ratios[worst]:.2f} x ({worst})",
+        "bar": f"<= {_MOST_BESIDE_ADMIN} x",
+        "met": ratios[worst] <= _MOST_BESIDE_ADMIN,
+        "ratios": ratios,
+    }
 
 
 def _row(label: str, place: Place, times: list[float], bare_ms: float) -> Row:

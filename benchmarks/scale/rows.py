@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -40,7 +40,9 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
 """
 
 
-def scale_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str], *, owner_url: str) -> list[Row]:
+def scale_rows(
+    size: int, url: str, owner_token: str, environment: Mapping[str, str], *, owner_url: str
+) -> Iterator[Row]:
     """Fill the instance to a size, and measure it; `owner_url` is the database by the role that owns the tables."""
     database_url = environment["KLEINKRAM_DATABASE_URL"]
     began = time.perf_counter()
@@ -49,15 +51,11 @@ def scale_rows(size: int, url: str, owner_token: str, environment: Mapping[str, 
     asked = places(150 if size > 1 else 50)
     statements = statements_of(environment, owner_token, asked)
     tokens = {"admin": owner_token, "reader": seed.ALL}
-    rows: list[Row] = [_filled_row(label, time.perf_counter() - began)]
-    rows += list_rows(label, url, tokens, statements, database_url, asked)
-    one = _crowd([url], owner_token)
-    rows += [
-        _crowd_row(label, one),
-        _two_row(label, environment, owner_token),
-        _sweep_row(label, url, owner_token, environment),
-    ]
-    return rows
+    yield _filled_row(label, time.perf_counter() - began)
+    yield from list_rows(label, url, tokens, statements, database_url, asked)
+    yield _crowd_row(label, _crowd([url], owner_token))
+    yield _two_row(label, environment, owner_token)
+    yield _sweep_row(label, url, owner_token, environment)
 
 
 def _filled_row(label: str, seconds: float) -> Row:
@@ -154,12 +152,7 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
                 [sys.executable, "-m", "benchmarks.scale.sweeping"], env={**environment}, stdout=subprocess.PIPE
             )
             while sweeping.poll() is None:
-                for path in (
-                    "projects?limit=50",
-                    "missions?limit=50",
-                    "files?sort=-start&limit=50",
-                    "search?query=knee",
-                ):
+                for path in _MEANWHILE:
                     asked = time.perf_counter()
                     pool.request("GET", f"{url}/api/v1/{path}", headers=headers)
                     times.append((time.perf_counter() - asked) * 1000)
