@@ -150,6 +150,17 @@ INSERT INTO mission_topic (mission_id, name, message_type, count, file_count, re
   FROM generate_series(1, %(missions)s::int) m JOIN mission ON mission.id = md5('mission' || m)::uuid
   JOIN topic ON topic.blob_id = md5('blob' || m || '-' || 1)::uuid
 """
+# What is kept of each mission when its recordings are derived.
+_AMOUNTS = """
+UPDATE mission SET file_count = held.files, size_bytes = held.bytes, message_count = held.messages, unread_count = held.unread,
+    duration_ns = coalesce((SELECT sum(end_ns - start_ns) FROM recording WHERE recording.mission_id = mission.id), 0)
+  FROM (
+    SELECT mission.id, count(blob.id) AS files, coalesce(sum(blob.size_bytes), 0) AS bytes, coalesce(sum(blob.message_count), 0) AS messages,
+      count(blob.id) FILTER (WHERE blob.summarised_at IS NULL OR blob.content = 'pending') AS unread
+    FROM mission LEFT JOIN file ON file.mission_id = mission.id AND file.deleted_at IS NULL LEFT JOIN blob ON blob.id = file.blob_id
+    GROUP BY mission.id
+  ) held WHERE held.id = mission.id
+"""
 # To the ten groups that the first person is in, to people by themselves, and to groups on single missions.
 _GRANTS = """
 INSERT INTO access_grant (id, group_id, project_id, level)
@@ -194,6 +205,7 @@ WHOLE_BEFORE = (
     ("files", "SELECT FROM file WHERE id = md5('file' || %(missions)s || '-0')::uuid", _FILES),
 )
 WHOLE_AFTER = (
+    ("amounts of missions", "SELECT FROM mission WHERE file_count IS NOT NULL LIMIT 1", _AMOUNTS),
     ("topics of missions", "SELECT FROM mission_topic LIMIT 1", _MISSION_TOPICS),
     ("grants on projects", "SELECT FROM access_grant WHERE project_id = md5('project1')::uuid", _GRANTS),
     ("grants on missions", "SELECT FROM access_grant WHERE group_id = md5('own3')::uuid", _MISSION_GRANTS),

@@ -13,7 +13,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
-from kleinkram.server.tables import file
+from kleinkram.server.tables import mission
 
 # As the worker: whatever people wait for goes first.
 _NICENESS = 10
@@ -24,11 +24,16 @@ async def main() -> int:
     settings = Settings()
     database = open_database(settings)
     rounds = 0
-    trashed = select(func.count()).select_from(file).where(file.c.deleted_at < func.now() - func.make_interval(0, 1))
+    # A mission goes after the last of its files.
+    due = (
+        select(mission.c.id)
+        .where(mission.c.deleted_at < func.now() - func.make_interval(0, 0, 0, settings.trash_days))
+        .limit(1)
+    )
     async with open_storage(settings) as storage:
         while True:
             async with database.begin() as db:
-                if not (await db.execute(trashed)).scalar_one():
+                if (await db.execute(due)).first() is None:
                     break
             await sweep_once(Site(database, storage, settings))
             rounds += 1
