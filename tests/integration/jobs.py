@@ -1,6 +1,7 @@
 """Jobs, run by the test itself when it wants them: the same worker, until the queue is empty."""
 
 import asyncio
+import uuid
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
@@ -12,6 +13,7 @@ from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
+from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.site import Site
@@ -35,7 +37,14 @@ async def _hurry(site: Site) -> None:
     await drain(site, courtesy)
 
 
-async def drain(site: Site, courtesy: Courtesy) -> None:
+class _NoRests(Rests):
+    """However slow a machine is: what is asked for is done before a test goes on."""
+
+    def took(self, mission_id: uuid.UUID, seconds: float) -> None:
+        """Note nothing."""
+
+
+async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> None:
     """Run what waits, as courteous as it is given."""
     connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
@@ -51,6 +60,7 @@ async def drain(site: Site, courtesy: Courtesy) -> None:
                     "readers": readers,
                     "courtesy": courtesy,
                     "understanding": Understanding(readers),
+                    "rests": rests or _NoRests(),
                 },
             )
 

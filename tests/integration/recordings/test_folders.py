@@ -11,11 +11,13 @@ from sqlalchemy import event
 
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
+from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
+from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.site import Site
 from tests.integration.corpus import Corpus
-from tests.integration.jobs import on_site, run_jobs
+from tests.integration.jobs import drain, on_site, run_jobs
 from tests.integration.running import Api
 from tests.integration.sample import Sample
 from tests.integration.uploading import upload_all
@@ -92,6 +94,64 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
         found = on_site(api, derive)
         assert [each.values["message_count"] for each in found] == [10] * number
     assert counts == [2, 2, 2]
+
+
+_BROKEN = b"\x89MCAP0\r\n"
+
+
+def test_what_stays_as_it_is_is_not_written_again(api: Api, mission_id: str) -> None:
+    upload_all(api, mission_id, {"a.mcap": _BROKEN + b"a", "b.mcap": _BROKEN + b"b"})
+    run_jobs(api)
+    written = "SELECT name, xmin::text FROM recording WHERE mission_id = %s ORDER BY name"
+    linked = "SELECT path, xmin::text, recording_id FROM file WHERE mission_id = %s ORDER BY path"
+    recordings, files = api.sql(written, mission_id), api.sql(linked, mission_id)
+    upload_all(api, mission_id, {"c.mcap": _BROKEN + b"c"})
+    run_jobs(api)
+    assert api.sql(written, mission_id)[:2] == recordings
+    assert api.sql(linked, mission_id)[:2] == files
+    assert [row[0] for row in api.sql(written, mission_id)] == ["a.mcap", "b.mcap", "c.mcap"]
+    assert None not in {row[2] for row in api.sql(linked, mission_id)}
+
+
+def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_id: str) -> None:
+    """With ten thousand files it would be derived, and held, all the time that these are read."""
+    upload_all(api, mission_id, {"a.mcap": _BROKEN + b"1"})
+    run_jobs(api)
+    upload_all(api, mission_id, {"b.mcap": _BROKEN + b"2"})
+    rests = Rests()
+    rests.took(uuid.UUID(mission_id), 5.0)
+    on_site(api, lambda site: _drain_courteously(site, rests))
+    waiting = (
+        "SELECT id, scheduled_at - now() > interval '15 s' FROM procrastinate_jobs"
+        " WHERE status = 'todo' AND args ->> 'ref' = %s"
+    )
+    ((job_id, is_later),) = api.sql(waiting, mission_id)
+    assert is_later
+    assert len(api.all(f"/missions/{mission_id}/recordings")) == 1
+    upload_all(api, mission_id, {"c.mcap": _BROKEN + b"3"})
+    run_jobs(api)
+    assert api.sql(waiting, mission_id) == [(job_id, True)], "what changed meanwhile asked for a round of its own"
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = now() WHERE id = %s", job_id)
+    run_jobs(api)
+    assert len(api.all(f"/missions/{mission_id}/recordings")) == 3
+
+
+async def _drain_courteously(site: Site, rests: Rests) -> None:
+    courtesy = Courtesy(site.database, site.settings)
+    courtesy.end()
+    await drain(site, courtesy, rests)
+
+
+def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
+    rests, quick, slow = Rests(), uuid.uuid4(), uuid.uuid4()
+    rests.took(quick, 0.1)
+    rests.took(slow, 2.0)
+    assert rests.left(quick).total_seconds() == 0
+    assert 6 < rests.left(slow).total_seconds() <= 8
+    rests.took(slow, 1000.0)
+    assert rests.left(slow).total_seconds() <= 30
+    rests.took(slow, 0.1)
+    assert rests.left(slow).total_seconds() > 0, "who took long rests to the end"
 
 
 def test_a_metadata_that_is_not_looked_at_is_told(api: Api, mission_id: str) -> None:

@@ -44,8 +44,9 @@ queue = App(connector=PsycopgConnector())
 # The library's own function, given the ids alone: its client would build, log and dump each job by itself.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:lane AS varchar), CAST(:task AS varchar),"
-    " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), NULL)::procrastinate_job_to_defer_v1"
-    " ORDER BY place)) FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
+    " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
+    "::procrastinate_job_to_defer_v1 ORDER BY place))"
+    " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
 )
 
 _HASTEN = text(
@@ -54,11 +55,13 @@ _HASTEN = text(
 )
 
 
-async def enqueue(db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency) -> None:
-    """Enqueue one job for each id, in their order, as part of the caller's transaction."""
+async def enqueue(
+    db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency, later: datetime.timedelta | None = None
+) -> None:
+    """Enqueue one job for each id, in their order, as part of the caller's transaction; to begin so much later."""
     if ids:
         said = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
-        await db.execute(_DEFER, said)
+        await db.execute(_DEFER, {**said, "later": later})
 
 
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:

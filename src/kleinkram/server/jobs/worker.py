@@ -19,6 +19,7 @@ from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import DEFAULT, GROUPING, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
+from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.settings import Settings, plain_dsn
@@ -59,6 +60,7 @@ async def _run(app: App, settings: Settings) -> None:
             "readers": readers,
             "courtesy": courtesy,
             "understanding": Understanding(readers),
+            "rests": Rests(),
         }
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [

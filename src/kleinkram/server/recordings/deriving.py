@@ -68,7 +68,7 @@ async def live_files(db: Connection, mission_id: uuid.UUID) -> Sequence[Row[Any]
     known = (blob.c.key, blob.c.size_bytes, blob.c.start_ns, blob.c.end_ns, blob.c.message_count, blob.c.format)
     state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth, blob.c.uploaded_by_id)
     statement = (
-        select(file.c.id, file.c.path, file.c.blob_id, *known, *state)
+        select(file.c.id, file.c.path, file.c.blob_id, file.c.recording_id, *known, *state)
         .join(blob, blob.c.id == file.c.blob_id)
         .where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     )
@@ -186,18 +186,23 @@ def _values(each: RecordingGroup, said: Rosbag2Metadata | None, summary: Recordi
 
 
 async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived], rows: Sequence[Row[Any]]) -> None:
-    """Make a mission's recordings and span those derived; recordings that stay keep their ids."""
-    ids: dict[tuple[str, str], uuid.UUID] = {}
-    for start in range(0, len(derived), _INSERT_BATCH):
-        ids |= await _upsert(db, mission_id, derived[start : start + _INSERT_BATCH])
+    """Make a mission's recordings and span those derived; recordings that stay keep their ids.
+
+    Only what changed is written: of ten thousand recordings, one does with each file that is read.
+    """
+    kept = await _kept(db, mission_id)
+    ids = {name: each.id for name, each in kept.items()}
+    new = [each for each in derived if not _is_kept(each, kept.get((each.group.name, each.group.kind.value)))]
+    for start in range(0, len(new), _INSERT_BATCH):
+        ids |= await _upsert(db, mission_id, new[start : start + _INSERT_BATCH])
+    ids = {name: ids[name] for name in ((each.group.name, each.group.kind.value) for each in derived)}
     gone = delete(recording).where(recording.c.mission_id == mission_id, recording.c.id.not_in(list(ids.values())))
     await db.execute(gone)
     owner = {path: ids[each.group.name, each.group.kind.value] for each in derived for path in _paths(each.group)}
-    links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in rows]
+    moved = [row for row in rows if row.recording_id != owner.get(row.path)]
+    links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in moved]
     if links:
-        statement = update(file).where(
-            file.c.id == bindparam("b_file"), file.c.recording_id.is_distinct_from(bindparam("b_recording"))
-        )
+        statement = update(file).where(file.c.id == bindparam("b_file"))
         await db.execute(statement.values(recording_id=bindparam("b_recording")), links)
     start_ns, end_ns = _span(derived)
     derived_revision = mission.c.files_revision
@@ -216,6 +221,16 @@ def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:
 
 def _paths(each: RecordingGroup) -> list[str]:
     return [*each.members, *([each.metadata_path] if each.metadata_path else [])]
+
+
+async def _kept(db: Connection, mission_id: uuid.UUID) -> dict[tuple[str, str], Row[Any]]:
+    columns = (recording.c[name] for name in ("id", "name", "kind", *_DERIVED))
+    found = await db.execute(select(*columns).where(recording.c.mission_id == mission_id))
+    return {(row.name, row.kind): row for row in found}
+
+
+def _is_kept(each: Derived, row: Row[Any] | None) -> bool:
+    return row is not None and all(row._mapping[name] == each.values[name] for name in _DERIVED)
 
 
 async def _upsert(

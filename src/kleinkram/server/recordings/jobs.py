@@ -1,5 +1,7 @@
 """The job that derives a mission's recordings from its files."""
 
+import datetime
+import time
 import uuid
 
 from procrastinate import JobContext
@@ -10,7 +12,8 @@ from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics
 from kleinkram.server.recordings import deriving
-from kleinkram.server.recordings.service import awaits_regrouping
+from kleinkram.server.recordings.rests import Rests
+from kleinkram.server.recordings.service import awaits_regrouping, regroup_later
 from kleinkram.server.recordings.understanding import Understanding
 
 _FEW_FILES = 50
@@ -19,11 +22,16 @@ _FEW_FILES = 50
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=PATIENTLY)
 async def group_recordings(context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
-    site = site_of(context)
+    site, rests = site_of(context), given(context, "rests", Rests)
     mission_id = uuid.UUID(ref)
+    if (left := rests.left(mission_id)) > datetime.timedelta():
+        async with site.database.begin() as db:
+            await regroup_later(db, mission_id, left)
+        return
     async with site.database.begin() as db:
         since = await enqueued_at(db, context.job.id)
     await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=since)
+    began = time.monotonic()
     async with site.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         rows = await deriving.live_files(db, mission_id)
@@ -33,6 +41,7 @@ async def group_recordings(context: JobContext, ref: str) -> None:
             return
         rows = await deriving.live_files(db, mission_id)
         await deriving.keep(db, mission_id, await deriving.derive(db, rows, stated), rows)
+    rests.took(mission_id, time.monotonic() - began)
     async with site.database.begin() as db:
         # Of many files that takes a while: not for a state that is over already.
         if len(rows) <= _FEW_FILES or not await awaits_regrouping(db, mission_id):

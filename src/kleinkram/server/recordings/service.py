@@ -1,5 +1,6 @@
 """Recordings: reading them, and having them derived anew. Never by hand: whatever changes files asks for it."""
 
+import datetime
 import uuid
 
 from sqlalchemy import Text, cast, select, text, update
@@ -30,6 +31,12 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
     await db.execute(changed)
     if not await awaits_regrouping(db, mission_id):
         await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon)
+
+
+async def regroup_later(db: Connection, mission_id: uuid.UUID, later: datetime.timedelta) -> None:
+    """See to it that a mission's recordings are derived in a while, together with what changes until then."""
+    if not await awaits_regrouping(db, mission_id):
+        await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon, later=later)
 
 
 async def awaits_regrouping(db: Connection, mission_id: uuid.UUID) -> bool:
