@@ -97,4 +97,5 @@ def _equality(expression: str) -> tuple[str, str]:
 
 
 def _with(matching: FileFilter, **changed: Any) -> FileFilter:  # Any: fields of the filter
-    return FileFilter.model_validate({**matching.model_dump(exclude_defaults=True), **changed})
+    # Of what is shown, each value has such a filter: what came from a filter, or from the files, is not judged again.
+    return matching.model_copy(update=changed)
