@@ -63,8 +63,8 @@ class Derived:
     values: dict[str, Any]
 
 
-async def live_files(db: Connection, mission_id: uuid.UUID) -> Sequence[Row[Any]]:
-    """Return path and content facts of a mission's files."""
+async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") -> Sequence[Row[Any]]:
+    """Return path and content facts of a mission's files; of those alone whose paths end in a name, if it is given."""
     known = (blob.c.key, blob.c.size_bytes, blob.c.start_ns, blob.c.end_ns, blob.c.message_count, blob.c.format)
     state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth, blob.c.uploaded_by_id)
     statement = (
@@ -72,6 +72,8 @@ async def live_files(db: Connection, mission_id: uuid.UUID) -> Sequence[Row[Any]
         .join(blob, blob.c.id == file.c.blob_id)
         .where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     )
+    if named:
+        statement = statement.where(file.c.path.endswith(named, autoescape=True))
     return (await db.execute(statement)).all()
 
 

@@ -6,6 +6,7 @@ import uuid
 
 from procrastinate import JobContext
 
+from kleinkram.recordings.grouping import METADATA_NAME
 from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
@@ -34,7 +35,7 @@ async def group_recordings(context: JobContext, ref: str) -> None:
     began = time.monotonic()
     async with site.database.begin() as db:
         await missions.lock_mission(db, mission_id)
-        rows = await deriving.live_files(db, mission_id)
+        rows = await deriving.live_files(db, mission_id, named=METADATA_NAME)
     stated = await given(context, "understanding", Understanding).of(site, rows)
     async with site.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):

@@ -9,7 +9,7 @@ import uuid
 
 # What takes less is derived at once: people look at what they bring.
 _LONG_S = 0.5
-# So many times as long as it took; a change is seen after so long at the latest.
+# So many times as long as it took, for each that rests; a change is seen after so long at the latest.
 _TIMES, _MOST_S = 4.0, 30.0
 
 
@@ -24,7 +24,8 @@ class Rests:
         now = time.monotonic()
         self._until = {each: until for each, until in self._until.items() if until > now}
         if seconds >= _LONG_S:
-            self._until[mission_id] = now + min(seconds * _TIMES, _MOST_S)
+            at_rest = len({*self._until, mission_id})
+            self._until[mission_id] = now + min(seconds * _TIMES * at_rest, _MOST_S)
 
     def left(self, mission_id: uuid.UUID) -> datetime.timedelta:
         """Return how long a mission rests from now; nothing or less when it does not."""
