@@ -144,7 +144,7 @@ async def _drain_courteously(site: Site, rests: Rests) -> None:
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
     rests, (quick, slow, other) = Rests(), (uuid.uuid4() for _ in range(3))
-    rests.took(quick, 0.1)
+    rests.took(quick, 0.05)
     rests.took(slow, 2.0)
     assert rests.left(quick).total_seconds() == 0
     assert 6 < rests.left(slow).total_seconds() <= 8
@@ -152,7 +152,7 @@ def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
     assert 14 < rests.left(other).total_seconds() <= 16, "two at once take no more of the worker than one"
     rests.took(slow, 1000.0)
     assert rests.left(slow).total_seconds() <= 30
-    rests.took(slow, 0.1)
+    rests.took(slow, 0.05)
     assert rests.left(slow).total_seconds() > 0, "who took long rests to the end"
 
 

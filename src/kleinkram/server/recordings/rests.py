@@ -8,7 +8,7 @@ import time
 import uuid
 
 # What takes less is derived at once: people look at what they bring.
-_LONG_S = 0.5
+_LONG_S = 0.1
 # So many times as long as it took, for each that rests; a change is seen after so long at the latest.
 _TIMES, _MOST_S = 4.0, 30.0
 
