@@ -12,7 +12,6 @@ import time
 import uuid
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -35,6 +34,8 @@ from kleinkram.server.storage import PartTarget, Signed, Storage, open_storage
 
 T = TypeVar("T")
 _READ_BYTES = 8 * 1024 * 1024
+# Files that links are asked for at once.
+_LINKS = 500
 
 
 def upload_ours(project: str, mission: str, *paths: str) -> Facts:
@@ -149,28 +150,44 @@ def _link(mission: str, path: str) -> DownloadLink:
         return client.files.links([read.id]).items[0]
 
 
-def download_raw(mission: str, destination: str) -> Facts:
-    """Fetch the same ranges with the same concurrency into a file that is forced to disk, without looking at a byte."""
-    link = _link(mission, "*")
-    pool = urllib3.PoolManager(maxsize=CONNECTIONS)
-    started = time.perf_counter()
-    with ExitStack() as stack:
-        out = os.open(Path(destination) / "raw", os.O_CREAT | os.O_WRONLY)
-        stack.callback(os.close, out)
+def _links(mission: str) -> list[DownloadLink]:
+    with connect() as client:
+        ids = [read.id for read in client.files.list(FileFilter(mission=mission))]
+        return [link for at in range(0, len(ids), _LINKS) for link in client.files.links(ids[at : at + _LINKS]).items]
 
-        def fetch(offset: int) -> None:
-            end = min(offset + _READ_BYTES, link.size_bytes) - 1
-            answer = pool.request("GET", link.url, headers={"Range": f"bytes={offset}-{end}"}, preload_content=False)
-            position = offset
+
+def download_raw(mission: str, destination: str) -> Facts:
+    """Fetch the same ranges with the same concurrency into files that are forced to disk, without looking at a byte."""
+    links = list(enumerate(_links(mission)))
+    pool = urllib3.PoolManager(maxsize=CONNECTIONS)
+    pieces = [
+        (Path(destination) / str(number), link, offset)
+        for number, link in links
+        for offset in range(0, link.size_bytes, _READ_BYTES)
+    ]
+
+    def fetch(path: Path, link: DownloadLink, offset: int) -> None:
+        end = min(offset + _READ_BYTES, link.size_bytes) - 1
+        answer = pool.request("GET", link.url, headers={"Range": f"bytes={offset}-{end}"}, preload_content=False)
+        position = offset
+        out = os.open(path, os.O_CREAT | os.O_WRONLY)
+        try:
             for piece in answer.stream(1024 * 1024):
                 position += os.pwrite(out, piece, position)
-            answer.release_conn()
-            if position != end + 1:
-                raise SystemExit("the store sent less than it said")
+            if link.size_bytes <= _READ_BYTES:
+                os.fsync(out)
+        finally:
+            os.close(out)
+        answer.release_conn()
+        if position != end + 1:
+            raise SystemExit("the store sent less than it said")
 
-        with ThreadPoolExecutor(CONNECTIONS) as fetchers:
-            list(fetchers.map(fetch, range(0, link.size_bytes, _READ_BYTES)))
-        os.fsync(out)
+    started = time.perf_counter()
+    with ThreadPoolExecutor(CONNECTIONS) as fetchers:
+        list(fetchers.map(fetch, *zip(*pieces, strict=True)))
+    for path in {path for path, link, _ in pieces if link.size_bytes > _READ_BYTES}:
+        with path.open("rb") as out:
+            os.fsync(out)
     return {"seconds": time.perf_counter() - started}
 
 
