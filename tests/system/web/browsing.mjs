@@ -2,6 +2,7 @@
 // How every page looks is told by every_page.mjs; here axe looks at what only clicking opens.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { isOfTheMachine } from "./complaints.mjs";
 
 const PATIENCE_MS = 60_000;
 const MOST_TRIES = 4;
@@ -23,7 +24,7 @@ export async function openBrowser(web, executablePath, pictures) {
     const page = await context.newPage();
     page.setDefaultTimeout(PATIENCE_MS);
     page.on("console", (message) => {
-      const isMeant = message.text().startsWith("Failed to load resource") && mayBeRefused();
+      const isMeant = isOfTheMachine(message.text()) || (message.text().startsWith("Failed to load resource") && mayBeRefused());
       if (["error", "warning"].includes(message.type()) && !isMeant) seen.complaints.push(`${message.text()} ${message.location().url}`);
     });
     page.on("pageerror", (error) => seen.complaints.push(error.message));

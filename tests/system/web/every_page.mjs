@@ -3,6 +3,7 @@
 // link that signs in, the server's address, where pictures go, and as JSON: the world and the texts that are to be shown.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { isOfTheMachine } from "./complaints.mjs";
 
 const [web, executablePath, link, address, pictures, told] = process.argv.slice(2);
 const { invitation, unused, share, ids, texts, store, every } = JSON.parse(told);
@@ -39,7 +40,7 @@ async function somebody() {
   const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   page.on("console", (message) => {
-    if (["error", "warning"].includes(message.type()) && !meant.test(message.text())) seen.complaints.push(`${at}: ${message.text()}`);
+    if (["error", "warning"].includes(message.type()) && !meant.test(message.text()) && !isOfTheMachine(message.text())) seen.complaints.push(`${at}: ${message.text()}`);
   });
   page.on("pageerror", (error) => seen.complaints.push(`${at}: ${error.message}`));
   page.on("dialog", (dialog) => {

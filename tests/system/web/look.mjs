@@ -3,6 +3,7 @@
 // server's address, the ids of a whole MCAP, a bag and a cut MCAP.
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
+import { isOfTheMachine } from "./complaints.mjs";
 
 const [web, executablePath, link, address, mcap, bag, cut] = process.argv.slice(2);
 const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
@@ -15,7 +16,9 @@ await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
 const complaints = [];
-page.on("console", (message) => ["error", "warning"].includes(message.type()) && complaints.push(message.text()));
+page.on("console", (message) => {
+  if (["error", "warning"].includes(message.type()) && !isOfTheMachine(message.text())) complaints.push(message.text());
+});
 page.on("pageerror", (error) => complaints.push(error.message));
 
 const picture = page.locator("[data-picture-look]");
