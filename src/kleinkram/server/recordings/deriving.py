@@ -62,6 +62,11 @@ class Derived:
     group: RecordingGroup
     values: dict[str, Any]
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Name and kind, by which a mission has each recording once."""
+        return self.group.name, self.group.kind.value
+
 
 async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") -> Sequence[Row[Any]]:
     """Return path and content facts of a mission's files; of those alone whose paths end in a name, if it is given."""
@@ -193,14 +198,14 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
     Only what changed is written: of ten thousand recordings, one does with each file that is read.
     """
     kept = await _kept(db, mission_id)
-    ids = {name: each.id for name, each in kept.items()}
-    new = [each for each in derived if not _is_kept(each, kept.get((each.group.name, each.group.kind.value)))]
+    ids = {key: row.id for key, row in kept.items()}
+    new = [each for each in derived if not _is_kept(each, kept.get(each.key))]
     for start in range(0, len(new), _INSERT_BATCH):
         ids |= await _upsert(db, mission_id, new[start : start + _INSERT_BATCH])
-    ids = {name: ids[name] for name in ((each.group.name, each.group.kind.value) for each in derived)}
+    ids = {each.key: ids[each.key] for each in derived}
     gone = delete(recording).where(recording.c.mission_id == mission_id, recording.c.id.not_in(list(ids.values())))
     await db.execute(gone)
-    owner = {path: ids[each.group.name, each.group.kind.value] for each in derived for path in _paths(each.group)}
+    owner = {path: ids[each.key] for each in derived for path in _paths(each.group)}
     moved = [row for row in rows if row.recording_id != owner.get(row.path)]
     links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in moved]
     if links:

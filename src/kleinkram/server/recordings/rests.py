@@ -1,6 +1,6 @@
-"""How soon a mission may be derived again: one of ten thousand files changes with each that is read, and takes seconds.
+"""How soon a mission may be derived again: one of ten thousand files changes with each that is read.
 
-Derived each time, it would be held all the time, while its files, whose reading changes it, wait for it.
+Derived each time, which takes half a second, it would be held all the time, and its files would wait to be read.
 """
 
 import datetime
