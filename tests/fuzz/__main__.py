@@ -6,6 +6,7 @@ Bounds its own memory and each case's time. Exits 1 at the first case that break
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import resource
 import signal
 import sys
@@ -23,6 +24,7 @@ from tests.fuzz.promises import check
 _MEMORY_BYTES = 1536 * 2**20
 _GROWTH_BYTES = 200 * 2**20
 _CASE_S = 10
+_STUCK_S = 60
 
 
 def main() -> int:
@@ -47,7 +49,8 @@ def _run(wanted: argparse.Namespace, files: list[seeds.Seed], folder: Path) -> i
     ends = time.monotonic() + wanted.minutes * 60
     case, slowest_s = wanted.start, 0.0
     for seed in files:
-        check(seed, folder)
+        with _at_most(_CASE_S):
+            check(seed, folder)
     before = _peak_bytes()
     while case < wanted.start + wanted.cases and time.monotonic() < ends:
         began = time.monotonic()
@@ -76,9 +79,11 @@ def _at_most(seconds: int) -> Iterator[None]:
 
     signal.signal(signal.SIGALRM, too_long)
     signal.alarm(seconds)
+    faulthandler.dump_traceback_later(_STUCK_S, exit=True)  # where no signal is heard: says where, and ends
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.alarm(0)
 
 

@@ -168,15 +168,14 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
         return
     from concurrent.futures import Future, ThreadPoolExecutor  # slow to import, and only for a network
 
-    with ThreadPoolExecutor(workers, thread_name_prefix="ranges") as pool:
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="ranges")
+    try:
         under_way: deque[Future[bytes]] = deque()
-        try:
-            for offset, length in ranges:
-                under_way.append(pool.submit(source.read, offset, length))
-                if len(under_way) >= workers:
-                    yield under_way.popleft().result()
-            while under_way:
+        for offset, length in ranges:
+            under_way.append(pool.submit(source.read, offset, length))
+            if len(under_way) >= workers:
                 yield under_way.popleft().result()
-        finally:
-            for future in under_way:
-                future.cancel()
+        while under_way:
+            yield under_way.popleft().result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `do_ahead`

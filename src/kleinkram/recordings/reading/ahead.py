@@ -24,27 +24,31 @@ class Job(NamedTuple, Generic[T]):
 
 
 def do_ahead(jobs: Iterator[Job[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
-    """Yield what the jobs return, in order; one that raises raises here, in its turn."""
+    """Yield what the jobs return, in order; one that raises raises here, in its turn.
+
+    Closed early, it returns at once: jobs that have begun go on to their end, and nobody hears of them.
+    """
     first = next(jobs, None)
     if first is None:
         return
     keep_freed_memory()
     yield first.run()
-    with ThreadPoolExecutor(workers, thread_name_prefix="read-ahead") as pool:
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
+    try:
         under_way: deque[tuple[int, Future[T]]] = deque()
-        try:
-            allowance, held = max(1, first.size_bytes), 0
-            upcoming = next(jobs, None)
-            while upcoming is not None or under_way:
-                allowance = min(most_bytes, 2 * allowance)
-                while upcoming is not None and (not under_way or held + upcoming.size_bytes <= allowance):
-                    under_way.append((upcoming.size_bytes, pool.submit(upcoming.run)))
-                    held += upcoming.size_bytes
-                    upcoming = next(jobs, None)
-                size, future = under_way.popleft()
-                result = future.result()
-                held -= size
-                yield result
-        finally:
-            for _, future in under_way:
-                future.cancel()
+        allowance, held = max(1, first.size_bytes), 0
+        upcoming = next(jobs, None)
+        while upcoming is not None or under_way:
+            allowance = min(most_bytes, 2 * allowance)
+            while upcoming is not None and (not under_way or held + upcoming.size_bytes <= allowance):
+                under_way.append((upcoming.size_bytes, pool.submit(upcoming.run)))
+                held += upcoming.size_bytes
+                upcoming = next(jobs, None)
+            size, future = under_way.popleft()
+            result = future.result()
+            held -= size
+            yield result
+    finally:
+        # Nobody waits for the threads here: the garbage collector may close this, in a thread that is being started,
+        # and no thread could end then.
+        pool.shutdown(wait=False, cancel_futures=True)
