@@ -71,3 +71,47 @@ def test_a_request_for_which_no_connection_comes_free_is_told_to_try_again(
     answer.refused(503, "database_unavailable")
     assert answer.headers["retry-after"]
     assert [each.result().status for each in waiting] == [200, 200]
+
+
+def test_a_connection_that_the_database_closed_is_not_given_out(api: Api) -> None:
+    """It is noticed without asking: whoever comes next waits for a new connection, and hears of nothing."""
+
+    async def work(site: Site) -> None:
+        database = open_database(site.settings.model_copy(update={"database_connections": 1}))
+        try:
+            mine = await _run(database, "SELECT pg_backend_pid()")
+            assert await _run(database, "SELECT pg_backend_pid()") == mine
+            await _run(site.database, f"SELECT pg_terminate_backend({mine}, 5000)")
+            assert await _run(database, "SELECT pg_backend_pid()") != mine
+        finally:
+            await database.close()
+
+    on_site(api, work)
+
+
+def test_statements_by_themselves_begin_no_transaction(api: Api) -> None:
+    """And the connection is as it was for whoever takes it next."""
+
+    async def work(site: Site) -> None:
+        ours = text("SELECT pg_current_xact_id()")
+        database = open_database(site.settings.model_copy(update={"database_connections": 1}))
+        try:
+            async with database.autocommit() as connection:
+                first, second = [(await connection.execute(ours)).scalar_one() for _ in range(2)]
+            assert first != second
+            async with database.begin() as connection:
+                first, second = [(await connection.execute(ours)).scalar_one() for _ in range(2)]
+            assert first == second
+        finally:
+            await database.close()
+
+    on_site(api, work)
+
+
+def test_what_is_read_by_itself_may_be_tried_again_too(api: Api) -> None:
+    async def work(site: Site) -> None:
+        with pytest.raises(DatabaseUnavailable):
+            async with site.database.autocommit() as connection:
+                await connection.execute(text("DO $$ BEGIN RAISE SQLSTATE '57P01'; END $$"))
+
+    on_site(api, work)

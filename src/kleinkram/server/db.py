@@ -4,13 +4,14 @@ A request has one transaction by default: committed when the route returns, roll
 store must be asked in between, a flow opens several with `Database.begin`.
 """
 
-from collections.abc import AsyncIterator, Iterable
-from contextlib import asynccontextmanager
+import select
+from collections.abc import AsyncIterator, Iterable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import psycopg
-from sqlalchemy import ARRAY, ColumnElement, any_, literal, make_url
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy import ARRAY, ColumnElement, any_, event, literal, make_url
+from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
 
@@ -33,6 +34,7 @@ class Database:
 
     def __init__(self, engine: AsyncEngine, *, connections: int) -> None:
         self.engine = engine
+        self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
         self._turns = Turns(connections)
 
     @asynccontextmanager
@@ -43,21 +45,40 @@ class Database:
             DatabaseUnavailable: no connection could be had in time, it broke, the database ended the transaction
                 (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
         """
-        try:
+        with _said_plainly():
             async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self.engine.begin() as connection:
                 yield connection
-        except (PoolTimeoutError, NoTurn) as error:
-            raise DatabaseUnavailable from error
-        except DBAPIError as error:
-            if isinstance(error.orig, psycopg.errors.DiskFull):
-                raise DatabaseUnavailable(reason=_NO_ROOM) from error
-            if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
-                raise DatabaseUnavailable from error
-            raise
+
+    @asynccontextmanager
+    async def autocommit(self) -> AsyncIterator[Connection]:
+        """Run statements each by itself: nothing is sent to begin or end a transaction.
+
+        For what reads, which sees no less so, as each statement of a transaction sees what is committed by then.
+
+        Raises:
+            DatabaseUnavailable: as for `begin`.
+        """
+        with _said_plainly():
+            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self._autocommit.connect() as connection:
+                yield connection
 
     async def close(self) -> None:
         """Close every connection."""
         await self.engine.dispose()
+
+
+@contextmanager
+def _said_plainly() -> Iterator[None]:
+    try:
+        yield
+    except (PoolTimeoutError, NoTurn) as error:
+        raise DatabaseUnavailable from error
+    except DBAPIError as error:
+        if isinstance(error.orig, psycopg.errors.DiskFull):
+            raise DatabaseUnavailable(reason=_NO_ROOM) from error
+        if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
+            raise DatabaseUnavailable from error
+        raise
 
 
 def open_database(settings: Settings, *, statement_timeout_s: float | None = STATEMENT_TIMEOUT_S) -> Database:
@@ -77,11 +98,22 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         pool_size=settings.database_connections,
         max_overflow=0,
         pool_timeout=_POOL_TIMEOUT_S,
-        pool_pre_ping=True,
         connect_args=arguments,
         hide_parameters=True,  # in the text of errors, which is logged
     )
+    event.listen(engine.sync_engine, "checkout", _see_that_it_is_quiet)
     return Database(engine, connections=settings.database_connections)
+
+
+def _see_that_it_is_quiet(connection: Any, *_: object) -> None:
+    """See that a connection that is taken again has nothing to say: one that PostgreSQL left says so, or is cut.
+
+    As sure as asking something, but for a network that went away, and nothing is sent.
+    """
+    looking = select.poll()
+    looking.register(connection.driver_connection.pgconn.socket, select.POLLIN)
+    if looking.poll(0):
+        raise DisconnectionError
 
 
 def was_cut_off(error: DatabaseUnavailable) -> bool:

@@ -22,17 +22,17 @@ from kleinkram.server.storage import Storage
 _bearer = HTTPBearer(auto_error=False, description="A Kleinkram token.")
 
 
-def _settings(request: Request) -> Settings:
+async def _settings(request: Request) -> Settings:
     settings: Settings = request.app.state.settings
     return settings
 
 
-def _database(request: Request) -> Database:
+async def _database(request: Request) -> Database:
     database: Database = request.app.state.database
     return database
 
 
-def _storage(request: Request) -> Storage:
+async def _storage(request: Request) -> Storage:
     storage: Storage = request.app.state.storage
     return storage
 
@@ -42,7 +42,7 @@ CurrentDatabase = Annotated[Database, Depends(_database)]
 CurrentStorage = Annotated[Storage, Depends(_storage)]
 
 
-def _site(database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings) -> Site:
+async def _site(database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings) -> Site:
     return Site(database, storage, settings)
 
 
@@ -73,7 +73,7 @@ async def _who(
         return STRANGER
     if credentials is None and cookie is None:
         raise NotAuthenticated(reason="the request has no bearer token")
-    async with database.begin() as db:
+    async with database.autocommit() as db:
         found = await _carrier(request, db, credentials)
     if found is None and credentials is None and is_door:
         return STRANGER  # whoever's session has ended may sign in again
@@ -95,7 +95,7 @@ async def _carrier(request: Request, db: Connection, credentials: HTTPAuthorizat
     return found
 
 
-def _find_again(
+async def _find_again(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 ) -> Callable[[Connection], Awaitable[Actor | None]]:
     """Return what finds out anew who asked, for an answer that lasts: None once they are nobody any more."""
@@ -150,9 +150,16 @@ async def _transaction(database: CurrentDatabase, _known: CurrentActor) -> Async
         yield connection
 
 
+async def _reading(database: CurrentDatabase, _known: CurrentActor) -> AsyncIterator[Connection]:
+    async with database.autocommit() as connection:
+        yield connection
+
+
 CurrentSite = Annotated[Site, Depends(_site)]
 # scope="function": committed before the answer leaves, so that nobody reads their own write too early.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
+# For routes that change nothing, and set nothing for the rest of a transaction.
+Reading = Annotated[Connection, Depends(_reading, scope="function")]
 
 
 async def _searcher(db: Transaction, actor: CurrentActor) -> Actor:

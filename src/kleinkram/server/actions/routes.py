@@ -15,7 +15,7 @@ from kleinkram.contract.actions import (
 )
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.actions import service
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.editions import IfMatch
 from kleinkram.server.pages import PageRequest
 
@@ -31,7 +31,7 @@ class ActionListQuery(ActionFilter):
 
 @router.get("", operation_id="list_actions")
 async def list_actions(
-    query: Annotated[ActionListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[ActionListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ActionRead]:
     """List the actions that match, by name: of projects that you may read, and of the whole lab."""
     return await service.list_actions(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
@@ -46,7 +46,7 @@ async def create_action(
 
 
 @router.get("/{action_id}", operation_id="get_action")
-async def get_action(action_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> ActionRead:
+async def get_action(action_id: uuid.UUID, db: Reading, actor: CurrentActor) -> ActionRead:
     """Get an action with its latest version."""
     return await service.get_action(db, actor, action_id)
 
@@ -62,7 +62,7 @@ async def update_action(
 @router.get("/{action_id}/versions", operation_id="list_action_versions")
 async def list_action_versions(
     action_id: uuid.UUID,
-    db: Transaction,
+    db: Reading,
     actor: CurrentActor,
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,

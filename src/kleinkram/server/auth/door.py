@@ -94,7 +94,7 @@ class Door:
             raise NotFound(noun="way to sign in", ref="password")
 
 
-def _door(request: Request, database: CurrentDatabase, settings: CurrentSettings, actor: CurrentActor) -> Door:
+async def _door(request: Request, database: CurrentDatabase, settings: CurrentSettings, actor: CurrentActor) -> Door:
     return Door(actor, request, database, settings)
 
 

@@ -17,7 +17,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
 from kleinkram.server.editions import IfMatch
 from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
@@ -35,7 +35,7 @@ class FileListQuery(FileQuery):
 
 
 @router.get("/files", operation_id="list_files")
-async def list_files(query: Annotated[FileListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[FileRead]:
+async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[FileRead]:
     """List the files that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
     return await service.list_files(db, actor, matching=whole(query), sort=query.sort, page=page)
@@ -55,7 +55,7 @@ async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor)
 
 
 @router.get("/files/{file_id}", operation_id="get_file")
-async def get_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
+async def get_file(file_id: uuid.UUID, db: Reading, actor: CurrentActor) -> FileRead:
     """Return one file."""
     return await service.get_file(db, actor, file_id)
 
@@ -77,7 +77,7 @@ async def delete_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor, 
 @router.get("/files/{file_id}/topics", operation_id="list_file_topics")
 async def list_file_topics(
     file_id: uuid.UUID,
-    db: Transaction,
+    db: Reading,
     actor: CurrentActor,
     limit: PageSize = 100,
     cursor: Cursor | None = None,

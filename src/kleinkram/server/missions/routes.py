@@ -10,7 +10,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import parse
 from kleinkram.contract.searching import QueryText
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, Reading, Transaction
 from kleinkram.server.editions import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.pages import PageRequest
@@ -38,7 +38,7 @@ async def create_mission(
 
 @router.get("/missions", operation_id="list_missions")
 async def list_missions(
-    query: Annotated[MissionListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[MissionListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[MissionRead]:
     """List the missions that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -48,7 +48,7 @@ async def list_missions(
 
 
 @router.get("/missions/{mission_id}", operation_id="get_mission")
-async def get_mission(mission_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> MissionRead:
+async def get_mission(mission_id: uuid.UUID, db: Reading, actor: CurrentActor) -> MissionRead:
     """Return one mission."""
     return await service.get_mission(db, actor, mission_id)
 

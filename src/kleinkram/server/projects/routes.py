@@ -11,7 +11,7 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.editions import IfMatch
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.projects import service
@@ -34,7 +34,7 @@ class ProjectListQuery(BaseModel):
 
 @router.get("", operation_id="list_projects")
 async def list_projects(
-    query: Annotated[ProjectListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[ProjectListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ProjectRead]:
     """List the projects that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -50,7 +50,7 @@ async def create_project(
 
 
 @router.get("/{project_id}", operation_id="get_project")
-async def get_project(project_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> ProjectRead:
+async def get_project(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -> ProjectRead:
     """Return one project."""
     return await service.get_project(db, actor, project_id)
 

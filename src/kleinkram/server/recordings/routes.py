@@ -6,7 +6,7 @@ from fastapi import APIRouter
 
 from kleinkram.contract.files import RecordingRead
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, Reading
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.recordings import service
 
@@ -16,7 +16,7 @@ router = APIRouter(prefix="/api/v1", tags=["recordings"])
 @router.get("/missions/{mission_id}/recordings", operation_id="list_recordings")
 async def list_recordings(
     mission_id: uuid.UUID,
-    db: Transaction,
+    db: Reading,
     actor: CurrentActor,
     limit: PageSize = 100,
     cursor: Cursor | None = None,
@@ -26,6 +26,6 @@ async def list_recordings(
 
 
 @router.get("/recordings/{recording_id}", operation_id="get_recording")
-async def get_recording(recording_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RecordingRead:
+async def get_recording(recording_id: uuid.UUID, db: Reading, actor: CurrentActor) -> RecordingRead:
     """Return one recording."""
     return await service.get_recording(db, actor, recording_id)

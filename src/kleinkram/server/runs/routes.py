@@ -23,7 +23,7 @@ from kleinkram.contract.runs import (
     RunsMade,
     SayingFilter,
 )
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.runs import ending, launching, lineage, logs, reading
 
@@ -62,14 +62,14 @@ async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) 
 
 
 @router.get("/runs", operation_id="list_runs")
-async def list_runs(query: Annotated[RunListQuery, Query()], db: Transaction, actor: CurrentActor) -> Page[RunRead]:
+async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[RunRead]:
     """List the runs that match, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
     return await reading.list_runs(db, actor, matching=query, page=page)
 
 
 @router.get("/runs/{run_id}", operation_id="get_run")
-async def get_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunDetail:
+async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> RunDetail:
     """Get a run with all that fits one answer."""
     return await reading.get_detail(db, actor, run_id)
 
@@ -89,7 +89,7 @@ async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, for
 @router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")
 async def list_run_inputs(
     run_id: uuid.UUID,
-    db: Transaction,
+    db: Reading,
     actor: CurrentActor,
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,
@@ -101,7 +101,7 @@ async def list_run_inputs(
 @router.get("/runs/{run_id}/artifacts", operation_id="list_artifacts")
 async def list_artifacts(
     run_id: uuid.UUID,
-    db: Transaction,
+    db: Reading,
     actor: CurrentActor,
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,
@@ -134,7 +134,7 @@ async def get_run_log(
 
 @router.get("/findings", operation_id="list_findings")
 async def list_findings(
-    query: Annotated[SayingListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[FindingRead]:
     """List what runs noticed, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -143,7 +143,7 @@ async def list_findings(
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
-    query: Annotated[SayingListQuery, Query()], db: Transaction, actor: CurrentActor
+    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[MetricRead]:
     """List the numbers that runs found, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
