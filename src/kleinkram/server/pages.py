@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
+from sqlalchemy import Column, ColumnElement, Row, Select, func, literal, select, tuple_
 from sqlalchemy.exc import DataError, ProgrammingError
 
 from kleinkram.contract.errors import InvalidCursor
@@ -29,7 +29,7 @@ class Order:
     @property
     def signature(self) -> str:
         """A few characters that differ between orders, so that a cursor of one is refused by another."""
-        text = "|".join(str(column) for column in self.columns) + str(self.descending)
+        text = "|".join(_named(column) for column in self.columns) + str(self.descending)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
@@ -105,6 +105,11 @@ def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select
 
 def _in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
     return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
+
+
+def _named(column: ColumnElement[Any]) -> str:
+    # A column is written so by itself, only slowly.
+    return f"{column.table.name}.{column.name}" if isinstance(column, Column) else str(column)
 
 
 def place_of(cursor: str, order: Order) -> list[Any]:

@@ -63,11 +63,8 @@ def visible_projects(actor: Actor, right: Right = Right.read) -> Select[Any]:
 
 def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the missions on which `actor` has a right, joined with their projects."""
-    return (
-        select(mission)
-        .join(project, project.c.id == mission.c.project_id)
-        .where(mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), _reaches_mission(actor, right))
-    )
+    live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
+    return joined_missions().where(*live, _reaches_mission(actor, right))
 
 
 def missions_by_project(actor: Actor) -> Select[Any]:
@@ -76,9 +73,8 @@ def missions_by_project(actor: Actor) -> Select[Any]:
     on_mission = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
     # Otherwise the database takes it to be looked up with each project, and reads everything before it sorts.
     granted = or_(mission.c.project_id.in_(_once(on_project)), mission.c.id.in_(_once(on_mission)))
-    stmt = select(mission).join(project, project.c.id == mission.c.project_id)
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return stmt.where(*live, _reaches_mission(actor, Right.read, granted))
+    return joined_missions().where(*live, _reaches_mission(actor, Right.read, granted))
 
 
 def count_missions(actor: Actor) -> Select[Any]:
@@ -109,6 +105,13 @@ def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[An
     return joined_files().where(*live, shown_files(actor), *inside)
 
 
+@functools.cache
+def joined_missions() -> Select[Any]:
+    """Return all missions joined with their projects: nothing is said here of who sees them."""
+    return select(mission).join(project, project.c.id == mission.c.project_id)
+
+
+@functools.cache
 def joined_files() -> Select[Any]:
     """Return all files joined with their missions, projects and blobs: nothing is said here of who sees them."""
     # Each file has its blob. As an outer join the database leaves it out where nothing is asked of blobs.
@@ -127,8 +130,7 @@ def reached_projects(actor: Actor) -> Select[Any]:
 
 def reached_missions(actor: Actor) -> Select[Any]:
     """Return the missions that `actor` may know of, in the trash too, joined with their projects; for the same."""
-    stmt = select(mission).join(project, project.c.id == mission.c.project_id)
-    return stmt.where(_reaches_mission(actor, Right.read))
+    return joined_missions().where(_reaches_mission(actor, Right.read))
 
 
 def standing(actor: Actor) -> Select[Any]:
@@ -148,8 +150,7 @@ def trashed_projects(actor: Actor) -> Select[Any]:
 
 def trashed_missions(actor: Actor) -> Select[Any]:
     """Return the missions in the trash by themselves that `actor` may have back, joined with their projects."""
-    stmt = select(mission).join(project, project.c.id == mission.c.project_id)
-    return stmt.where(mission.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete))
+    return joined_missions().where(mission.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete))
 
 
 def trashed_files(actor: Actor) -> Select[Any]:

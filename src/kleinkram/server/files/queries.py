@@ -1,6 +1,7 @@
 """What is asked of files. Functions return selects; they touch no connection."""
 
 import datetime
+import functools
 import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -100,7 +101,12 @@ def file_rows(stmt: Select[Any]) -> Select[Any]:
 
 def rows_of_found(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
     """Return the same rows of files that the very statement around it has found among the visible ones."""
-    return file_rows(joined_files().where(file.c.id == file_id))
+    return _rows_of_all().where(file.c.id == file_id)
+
+
+@functools.cache
+def _rows_of_all() -> Select[Any]:
+    return file_rows(joined_files())
 
 
 def to_file(row: Row[Any]) -> FileRead:

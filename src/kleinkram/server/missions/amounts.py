@@ -5,9 +5,23 @@ of this moment, and a list of a thousand missions reads no file. Functions touch
 """
 
 import uuid
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ARRAY, BigInteger, ColumnElement, Select, Update, and_, case, func, select, type_coerce, update
+from sqlalchemy import (
+    ARRAY,
+    BigInteger,
+    ColumnElement,
+    Select,
+    Update,
+    and_,
+    case,
+    func,
+    select,
+    true,
+    type_coerce,
+    update,
+)
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.files import BlobState, ContentState
@@ -24,18 +38,25 @@ _PENDING = blob.c.summarised_at.is_(None) | (
 
 def amounts(actor: Actor) -> ColumnElement[Any]:
     """Return number, bytes and messages of each `mission`'s files, and how many wait to be read, as one array."""
+    return _kept_amounts() if sees_whole_missions(actor) else _added_amounts(shown_files(actor))
+
+
+def _added_amounts(shown: ColumnElement[bool]) -> ColumnElement[Any]:
     numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), func.count().filter(_PENDING))
-    added = _live(actor, _whole_numbers(*numbers))
-    if not sees_whole_missions(actor):
-        return added
+    return _live(shown, _whole_numbers(*numbers))
+
+
+@cache  # the same for whoever sees all that is in the missions they see
+def _kept_amounts() -> ColumnElement[Any]:
     kept = _whole_numbers(mission.c.file_count, mission.c.size_bytes, mission.c.message_count, mission.c.unread_count)
     # Whether a file still waits may end without its mission being derived anew; where none does, none begins to.
-    return case((and_(_is_current(), mission.c.unread_count == 0), kept), else_=added)
+    return case((and_(_is_current(), mission.c.unread_count == 0), kept), else_=_added_amounts(true()))
 
 
 def file_amounts(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
     """Return number and bytes of each `mission`'s files, to be added up over missions."""
-    count, size_bytes = _live(actor, func.count()), _live(actor, func.coalesce(func.sum(blob.c.size_bytes), 0))
+    shown = shown_files(actor)
+    count, size_bytes = _live(shown, func.count()), _live(shown, func.coalesce(func.sum(blob.c.size_bytes), 0))
     if not sees_whole_missions(actor):
         return count, size_bytes
     return (
@@ -74,8 +95,8 @@ def _is_current() -> ColumnElement[bool]:
     return and_(mission.c.file_count.is_not(None), mission.c.derived_revision == mission.c.files_revision)
 
 
-def _live(actor: Actor, what: ColumnElement[Any]) -> ColumnElement[Any]:
-    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+def _live(shown: ColumnElement[bool], what: ColumnElement[Any]) -> ColumnElement[Any]:
+    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown)
     stmt: Select[Any] = select(what).join_from(file, blob, blob.c.id == file.c.blob_id).where(*inside)
     return stmt.correlate(mission).scalar_subquery()
 

@@ -25,6 +25,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
+    joined_missions,
     level_on_mission,
     sees_whole_missions,
     shown_span,
@@ -57,8 +58,7 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
 
 def rows_of_found(actor: Actor, mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
     """Return the same rows of missions that the very statement around it has found among the visible ones."""
-    joined = select(mission).join(project, project.c.id == mission.c.project_id)
-    return mission_rows(actor, joined.where(mission.c.id == mission_id))
+    return mission_rows(actor, joined_missions().where(mission.c.id == mission_id))
 
 
 def to_mission(row: Row[Any]) -> MissionRead:

@@ -4,6 +4,7 @@ Ids are random, so the first of them are files drawn by lot, and an index reads 
 says where to begin and, where very many are found, about how many; nothing of rights: every statement asks for those.
 """
 
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -32,12 +33,17 @@ _FEW = 50_000
 
 @dataclass(frozen=True)
 class Outlook:
-    """What was seen of the files drawn: how many of them each filter finds, of how many there are about in all."""
+    """What was seen of the files drawn: how many of them each filter finds, of how many there are about in all.
+
+    Attributes:
+        blob_ids: the blobs of those that the first filter finds, and that are seen by who asks.
+    """
 
     hits: Sequence[int]
     drawn: int
     files: int
     many: int = MANY
+    blob_ids: Sequence[uuid.UUID] = ()
 
     def finds_many(self, number: int = 0) -> bool:
         """Say whether a filter finds so many files that they are not all looked at."""
@@ -75,7 +81,7 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
     files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
     rarest = min(filter(has_index, words), key=lambda word: held[word], default=None)
     is_led = rarest is None or held[rarest] < MANY
-    outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER)
+    outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER, row.blob_ids or ())
     # Files without a time come last: where nearly all are such, a walk would meet all others first.
     if outlook.finds_many() and row.timed < _MANY_TOGETHER:
         outlook = replace(outlook, many=DRAWN + 1)
@@ -97,17 +103,21 @@ async def let_join(db: Connection, actor: Actor, *, freely: bool) -> None:
 
 
 def _tried(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[Any]:
-    """Return of how many files drawn each condition holds, of how many `timed` ones the first; and what was drawn."""
+    """Return of how many files drawn each condition holds, of which blobs the first, and of how many `timed` files.
+
+    And what was drawn.
+    """
     drawn = drawn_files()
     holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
     seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
-    tried = seen.with_only_columns(*holding, file.c.start_ns, maintain_column_froms=True)
+    tried = seen.with_only_columns(*holding, file.c.start_ns, file.c.blob_id, maintain_column_froms=True)
     # With a limit the database tries each once, and not for each of the numbers anew.
     each = tried.limit(DRAWN).subquery()
     held = [each.c[condition.name] for condition in holding]
     return select(
         *(func.count().filter(condition) for condition in held),
         func.count().filter(held[0], each.c.start_ns.is_not(None)).label("timed"),
+        func.array_agg(each.c.blob_id).filter(held[0]).label("blob_ids"),
         select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
         select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
     )

@@ -1,17 +1,33 @@
 """Topics across files, and statistics. Functions return selects; they touch no connection."""
 
 import re
+import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import BigInteger, ColumnElement, Row, Select, Text, and_, cast, distinct, func, null, select, true
+from sqlalchemy import (
+    ARRAY,
+    BigInteger,
+    ColumnElement,
+    Row,
+    Select,
+    Text,
+    and_,
+    cast,
+    distinct,
+    func,
+    literal,
+    null,
+    select,
+    true,
+)
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files
-from kleinkram.server.search.looking import drawn_files, rounded
+from kleinkram.server.search.looking import rounded
 from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
@@ -39,18 +55,22 @@ def walking() -> Select[Any]:
     return select(func.set_config("enable_sort", "off", True))
 
 
-def topics_found(actor: Actor, matching: FileFilter, *, limit: int, drawn: bool) -> Select[Any]:
+def topics_found(
+    actor: Actor, matching: FileFilter, *, limit: int, blob_ids: Sequence[uuid.UUID] | None = None
+) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
-    With `drawn`, of those of the files drawn by lot that match.
+    With `blob_ids`, of files of these blobs, which this very request has found among those that match.
 
     Those whose names hold the most words of the filter come first, then those of the most files.
     """
-    files = narrow_files(actor, visible_files(actor), matching)
-    if drawn:
-        files = files.where(file.c.id.in_(select(drawn_files().c.id)))
-    found = files.with_only_columns(file.c.blob_id, maintain_column_froms=True).cte("found")
-    if drawn or matching != FileFilter():
+    if blob_ids is None:
+        files = narrow_files(actor, visible_files(actor), matching)
+        files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
+    else:
+        files = select(func.unnest(literal([*blob_ids], ARRAY(blob.c.id.type))).label("blob_id"))
+    found = files.cte("found")
+    if blob_ids is not None or matching != FileFilter():
         # Looked up once and first: what is found of the files says nothing of how many topics they have.
         found = found.prefix_with("MATERIALIZED")
     # A blob names each topic once, so there is a row for each of its files. Read blob by blob, and behind a fence: else

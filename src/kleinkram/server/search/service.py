@@ -67,7 +67,7 @@ async def _counted(db: Connection, actor: Actor, matching: FileFilter, sort: Fil
     page = PageRequest(limit, count=file_ids is None)
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page)
     await db.execute(queries.room_to_count())
-    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, drawn=False))).all()
+    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit))).all()
     total = files_found.total if file_ids is None else len(file_ids)
     return missions_found, files_found.model_copy(update={"total": total}), _topics_of(rows)
 
@@ -76,7 +76,8 @@ async def _estimated(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, outlook: Outlook
 ) -> _Found:
     """Look for the first of very many; how many there are, and their topics, as seen from what was drawn by lot."""
-    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, drawn=True))).all()
+    topics = queries.topics_found(actor, matching, limit=limit, blob_ids=outlook.blob_ids)
+    rows = (await db.execute(topics)).all()
     total = await missions.estimate_found(db, actor, matching)
     # The last that is done in this transaction.
     await db.execute(queries.walking())

@@ -121,7 +121,9 @@ def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Condition
 
 
 def _path_or_label_holds(word: str) -> Conditions:
-    return [key_holds_word(file.c.path_key, word), holds_word(func.joined(file.c.labels), word)]
+    # Most files have no label: to see that is quicker than to join none.
+    labelled = and_(func.cardinality(file.c.labels) > 0, holds_word(func.joined(file.c.labels), word))
+    return [key_holds_word(file.c.path_key, word), labelled]
 
 
 def _mission_says(actor: Actor, word: str) -> Conditions:
