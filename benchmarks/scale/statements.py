@@ -146,9 +146,9 @@ WITH headers AS (
     SELECT id, 0, '{}', 1 FROM mission WHERE id IN (SELECT md5('mission' || m)::uuid FROM generate_series(1, %(missions)s::int) m)
 )
 INSERT INTO mission_topic (mission_id, name, message_type, count, file_count, recording_count, places, first_ns, last_ns, rate_hz)
-  SELECT mission.id, topic.name, topic.message_type, topic.count * 10, 10, 5, '{}', mission.start_ns, mission.end_ns, topic.rate_hz
-  FROM generate_series(1, %(missions)s::int) m JOIN mission ON mission.id = md5('mission' || m)::uuid
-  JOIN topic ON topic.blob_id = md5('blob' || m || '-' || 1)::uuid
+  SELECT file.mission_id, topic.name, topic.message_type, sum(topic.count), count(*), count(DISTINCT recording_id), '{}', min(topic.first_ns), max(topic.last_ns), max(rate_hz)
+  FROM topic JOIN file USING (blob_id) JOIN blob ON blob.id = blob_id WHERE store_id = 'scale' AND file.deleted_at IS NULL
+  GROUP BY file.mission_id, topic.name, topic.message_type
 """
 # What is kept of each mission when its recordings are derived.
 _AMOUNTS = """

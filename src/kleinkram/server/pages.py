@@ -8,9 +8,10 @@ import json
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Row, Select, func, literal, select, tuple_
+from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
 from sqlalchemy.exc import DataError, ProgrammingError
 
 from kleinkram.contract.errors import InvalidCursor
@@ -26,10 +27,10 @@ class Order:
     columns: Sequence[ColumnElement[Any]]
     descending: bool = False
 
-    @property
+    @cached_property
     def signature(self) -> str:
         """A few characters that differ between orders, so that a cursor of one is refused by another."""
-        text = "|".join(_named(column) for column in self.columns) + str(self.descending)
+        text = "|".join(str(column) for column in self.columns) + str(self.descending)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
@@ -105,11 +106,6 @@ def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select
 
 def _in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
     return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
-
-
-def _named(column: ColumnElement[Any]) -> str:
-    # A column is written so by itself, only slowly.
-    return f"{column.table.name}.{column.name}" if isinstance(column, Column) else str(column)
 
 
 def place_of(cursor: str, order: Order) -> list[Any]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from kleinkram.server.search import looking, words
+from kleinkram.server.search import kept, looking, words
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 from tests.integration.sample import Sample
@@ -20,6 +20,10 @@ _LISTS: tuple[tuple[str, dict[str, str]], ...] = (
     ("/topics", {}),
     ("/search/facets", {}),
 )
+_KEEP = """
+INSERT INTO mission_topic (mission_id, name, message_type, file_count, recording_count, places)
+VALUES (%s, '/imu', 'Imu', 1, 0, '{}')
+"""
 
 
 @pytest.fixture(name="full", scope="module")
@@ -67,6 +71,38 @@ def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, dr
     assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
     facets = full.get("/search/facets", {"query": "rarely"}).ok()
     assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
+
+
+@pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
+@pytest.mark.usefixtures("drawn")
+def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
+    full: Api, monkeypatch: pytest.MonkeyPatch, query: str
+) -> None:
+    """Among very many files: what is kept of another state of the mission, or only in part, rules nothing out."""
+    ((mission_id,),) = full.sql("SELECT DISTINCT mission_id FROM file WHERE path = 'rarely_0.mcap'")
+    full.sql("UPDATE topic SET message_type = 'Imu' WHERE name = '/imu'")
+
+    def is_found() -> bool:
+        found = full.get("/search", {"query": query}).ok()
+        assert not found["is_whole"]
+        return str(mission_id) in {each["id"] for each in found["missions"]["items"]}
+
+    assert is_found()  # nothing is kept
+    full.sql("INSERT INTO mission_topics VALUES (%s, 0, '{}', 1)", mission_id)
+    try:
+        assert not is_found()
+        full.sql(_KEEP, mission_id)
+        assert is_found()
+        full.sql("UPDATE mission_topic SET name = '/gps', message_type = 'Fix' WHERE mission_id = %s", mission_id)
+        assert not is_found()
+        with monkeypatch.context() as patch:
+            patch.setattr(kept, "MOST_KEPT_TOPICS", 1)
+            assert is_found()
+        full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
+        assert is_found()
+    finally:
+        full.sql("DELETE FROM mission_topics WHERE mission_id = %s", mission_id)
+        full.sql("UPDATE mission SET files_revision = 0 WHERE id = %s", mission_id)
 
 
 @pytest.mark.parametrize(("path", "query"), _LISTS)

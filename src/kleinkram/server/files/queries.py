@@ -183,13 +183,18 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
 
 def file_order(actor: Actor, sort: FileSort) -> Order:
     """Return a list's order. Files without a time come last, whichever way the list runs."""
+    return _order(sort, is_walked=actor.few_mission_ids is None and not actor.looked.finds_few)
+
+
+@functools.cache
+def _order(sort: FileSort, *, is_walked: bool) -> Order:
     descending = sort.value.startswith("-")
     key = sort.value.removeprefix("-")
     if key == "path":
         return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
     # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen, or few
     # files found: the database would walk it past nearly all files to find these.
-    first = _FIRST if actor.few_mission_ids is None and not actor.looked.finds_few else _FIRST + 1
+    first = _FIRST if is_walked else _FIRST + 1
     unknown = literal(first if descending else _LAST, BigInteger)
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,

@@ -1,5 +1,6 @@
 """What is asked of missions. Functions return selects; they touch no connection."""
 
+import functools
 import uuid
 from collections.abc import Collection
 from typing import Any
@@ -154,12 +155,21 @@ def count_drawn(actor: Actor, found: FileFilter) -> Select[Any]:
 
 def mission_order(actor: Actor, sort: MissionSort) -> Order:
     """Return a list's order. Missions without a time come last, whichever way the list runs."""
+    return _order_of_whole(sort) if sees_whole_missions(actor) else _order(sort, shown_span(actor)[0])
+
+
+@functools.cache
+def _order_of_whole(sort: MissionSort) -> Order:
+    return _order(sort, mission.c.start_ns)
+
+
+def _order(sort: MissionSort, start_ns: ColumnElement[int | None]) -> Order:
     descending = sort.value.startswith("-")
     unknown = literal(_FIRST if descending else _LAST, BigInteger)
     columns: dict[str, list[ColumnElement[Any]]] = {
         "name": [mission.c.name, project.c.name],
         "created": [mission.c.created_at],
-        "start": [func.coalesce(shown_span(actor)[0], unknown)],
+        "start": [func.coalesce(start_ns, unknown)],
     }
     return Order([*columns[sort.value.removeprefix("-")], mission.c.id], descending)
 

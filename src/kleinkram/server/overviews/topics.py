@@ -22,10 +22,8 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
 from kleinkram.server.overviews.merging import Key, Merged, merge
 from kleinkram.server.pages import PageRequest, fetch_page
-from kleinkram.server.tables import mission_topic
+from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
 
-# Of one mission; the first ones by name.
-MOST_TOPICS = 20_000
 _FETCHED_AT_ONCE = 2_000
 _MAX_BIGINT = 2**63 - 1
 
@@ -95,7 +93,7 @@ async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequenc
     found: list[Merged] = []
     async for each in merge(_streamed(db, statement), recording_ids):
         found.append(each)
-        if len(found) == MOST_TOPICS:
+        if len(found) == MOST_KEPT_TOPICS:
             break
     return found
 

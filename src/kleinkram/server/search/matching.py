@@ -11,6 +11,7 @@ from sqlalchemy import (
     Integer,
     Numeric,
     Select,
+    Table,
     Text,
     and_,
     case,
@@ -35,9 +36,10 @@ from kleinkram.server.access.visible import sees_whole_missions, shown_files, sh
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.db import among
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
+from kleinkram.server.search.kept import may_have_topic, where_it_may_be
 from kleinkram.server.search.where import condition
-from kleinkram.server.search.words import file_holds, mission_holds, words_of
-from kleinkram.server.tables import blob, file, mission, project, topic
+from kleinkram.server.search.words import file_holds, mission_holds, mission_may_hold, words_of
+from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
 
 Conditions = list[ColumnElement[bool]]
 # What a filter of files says that can be said of a mission itself.
@@ -118,7 +120,17 @@ def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement
     # Most missions have some: one is soon met. The mission around it is visible, so only its files are asked about.
     inside = select(file.c.id).outerjoin(blob, blob.c.id == file.c.blob_id)
     live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
-    return inside.where(*live, *file_conditions(actor, matching)).correlate(mission, project).exists()
+    files = inside.where(*live, *file_conditions(actor, matching)).correlate(mission, project)
+    return where_it_may_be(_may_hold(actor, matching), files.exists())
+
+
+def _may_hold(actor: Actor, matching: FileFilter) -> Conditions:
+    """Return conditions on a mission, quickly looked at, without which no file of it matches."""
+    words = (mission_may_hold(actor, word) for word in words_of(matching.text))
+    conditions = [each for each in words if each is not None]
+    if matching.topic or matching.message_type:
+        conditions.append(may_have_topic(*_topic_conditions(matching, mission_topic)))
+    return conditions
 
 
 def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
@@ -247,12 +259,12 @@ def _began_in(month: str) -> ColumnElement[bool]:
     return and_(file.c.start_ns >= nanoseconds(first), file.c.start_ns < nanoseconds(following))
 
 
-def _topic_conditions(matching: MissionFilter | FileFilter) -> Conditions:
+def _topic_conditions(matching: MissionFilter | FileFilter, table: Table = topic) -> Conditions:
     conditions: Conditions = []
     if matching.topic:
-        conditions.append(matches_any(topic.c.name, matching.topic))
+        conditions.append(matches_any(table.c.name, matching.topic))
     if matching.message_type:
-        conditions.append(matches_any(topic.c.message_type, matching.message_type))
+        conditions.append(matches_any(table.c.message_type, matching.message_type))
     return conditions
 
 

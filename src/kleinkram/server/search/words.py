@@ -34,7 +34,8 @@ from kleinkram.server.access.looked import Said
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.search.globs import holds_word, key_holds_word
-from kleinkram.server.tables import file, mission, project, topic, topic_name
+from kleinkram.server.search.kept import may_have_topic
+from kleinkram.server.tables import file, mission, mission_topic, project, topic, topic_name
 
 Conditions = list[ColumnElement[bool]]
 # Each is looked for in every place where a word can stand.
@@ -83,6 +84,15 @@ def mission_holds(actor: Actor, word: str) -> ColumnElement[bool]:
     return or_(false(), *_in_mission(actor, actor.looked.of(word)))
 
 
+def mission_may_hold(actor: Actor, word: str) -> ColumnElement[bool] | None:
+    """Return a condition without which no file of a mission holds a word; None where only the files can tell."""
+    said = actor.looked.of(word)
+    if _in_file(said):
+        return None
+    in_topics = [may_have_topic(each) for each in _in_topics(said, mission_topic.c.name)]
+    return or_(false(), *_in_mission(actor, said), *in_topics)
+
+
 def _in_file(said: Said) -> Conditions:
     return _path_or_label_holds(said.word) if said.file_ids is None else _named(file.c.id, said.file_ids)
 
@@ -98,12 +108,12 @@ def _in_mission(actor: Actor, said: Said) -> Conditions:
     return says + in_project
 
 
-def _in_topics(said: Said) -> Conditions:
+def _in_topics(said: Said, name: ColumnElement[str] = topic.c.name) -> Conditions:
     if said.topics is not None:
-        return _named(topic.c.name, said.topics)
+        return _named(name, said.topics)
     # Of all topics there are few names.
     named = select(topic_name.c.name).where(holds_word(topic_name.c.name, said.word)).correlate(None)
-    return [topic.c.name == any_(func.array(named.scalar_subquery()))]
+    return [name == any_(func.array(named.scalar_subquery()))]
 
 
 def _named(column: ColumnElement[Any], values: Sequence[object]) -> Conditions:

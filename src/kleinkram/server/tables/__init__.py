@@ -8,7 +8,7 @@ from kleinkram.server.tables.blob import blob, topic, topic_name
 from kleinkram.server.tables.file import file, recording
 from kleinkram.server.tables.job_error import job_error
 from kleinkram.server.tables.mission import mission
-from kleinkram.server.tables.mission_topic import mission_topic, mission_topics
+from kleinkram.server.tables.mission_topic import MOST_KEPT_TOPICS, mission_topic, mission_topics
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
 from kleinkram.server.tables.run import log_segment, run, run_artifact, run_finding, run_input, run_metric
@@ -27,6 +27,7 @@ from kleinkram.server.tables.store_probe import store_probe
 from kleinkram.server.tables.upload import upload
 
 __all__ = [
+    "MOST_KEPT_TOPICS",
     "access_grant",
     "access_group",
     "action",

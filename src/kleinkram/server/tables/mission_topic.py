@@ -17,6 +17,9 @@ from sqlalchemy import (
 
 from kleinkram.server.tables.base import metadata, sorted_text
 
+MOST_KEPT_TOPICS = 20_000
+"""Of one mission; the first ones by name."""
+
 mission_topics = Table(
     "mission_topics",
     metadata,
