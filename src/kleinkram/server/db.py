@@ -1,7 +1,8 @@
 """Connections and transactions: SQLAlchemy Core over psycopg 3, no ORM.
 
 A request has one transaction by default: committed when the route returns, rolled back when it raises. Where the object
-store must be asked in between, a flow opens several with `Database.begin`.
+store must be asked in between, a flow opens several with `Database.begin`; what only reads may do without
+(`Database.autocommit`).
 """
 
 import select
