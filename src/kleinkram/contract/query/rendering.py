@@ -1,5 +1,6 @@
 """From a filter to the text that says it: one order and one spelling, which `parse` reads as the same filter."""
 
+import itertools
 from collections.abc import Iterator, Mapping
 
 from kleinkram.contract.errors import InvalidQuery
@@ -9,6 +10,9 @@ from kleinkram.contract.query.amounts import DURATIONS, SIZES, say_bound, say_ti
 from kleinkram.contract.query.keys import KEYS, META, Key, is_glob
 from kleinkram.contract.query.words import as_value, as_word, escaped, phrases, quoted, single
 
+_KEYS = [*KEYS]
+# Metadata stands between what is said of the recording and of the file.
+_PARTS = ("text", *_KEYS[: _KEYS.index("label")], META, *_KEYS[_KEYS.index("label") :], "without")
 _UNITS: Mapping[str, Mapping[str, int]] = {"size": SIZES, "duration": DURATIONS}
 
 
@@ -18,7 +22,36 @@ def render(matching: FileFilter) -> str:
     Raises:
         InvalidQuery: a comparison in `where` is none, or what is left out is not one term.
     """
-    return " ".join(_terms(matching))
+    return in_words(terms(matching))
+
+
+def terms(matching: FileFilter) -> dict[str, list[str]]:
+    """Return the terms of a filter by what they say: `text`, each key, `meta.` and `without`; in their order.
+
+    Raises:
+        InvalidQuery: as for `render`.
+    """
+    return {part: terms_of(part, matching) for part in _PARTS}
+
+
+def in_words(by_part: Mapping[str, list[str]]) -> str:
+    """Return the text that terms by part say."""
+    return " ".join(itertools.chain.from_iterable(by_part.values()))
+
+
+def terms_of(part: str, matching: FileFilter) -> list[str]:
+    """Return the terms of one part of a filter; those of a key do not depend on anything else that the filter says.
+
+    Raises:
+        InvalidQuery: as for `render`.
+    """
+    if part == "text":
+        return [as_word(word) for word in phrases(matching.text or "")]
+    if part == META:
+        return [render_where(expression) for expression in matching.where]
+    if part == "without":
+        return [f"-{single(term).written}" for term in matching.without]
+    return [*_terms_of(KEYS[part], matching)]
 
 
 def render_where(expression: str) -> str:
@@ -39,15 +72,6 @@ def render_where(expression: str) -> str:
     else:
         said = escaped(value, after=operator)
     return f"{META}{found['field']}{':' if operator == '=' else operator}{said}"
-
-
-def _terms(matching: FileFilter) -> Iterator[str]:
-    yield from (as_word(word) for word in phrases(matching.text or ""))
-    for key in KEYS.values():
-        if key.name == "label":  # metadata stands between what is said of the recording and of the file
-            yield from (render_where(expression) for expression in matching.where)
-        yield from _terms_of(key, matching)
-    yield from (f"-{single(term).written}" for term in matching.without)
 
 
 def _terms_of(key: Key, matching: FileFilter) -> Iterator[str]:

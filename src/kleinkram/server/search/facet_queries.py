@@ -1,10 +1,12 @@
 """How the files that a filter finds divide. Functions return selects; they touch no connection.
 
-One statement for all facets: each filter is looked up once, and no more than `most` of its files are counted.
+One statement for all facets: each filter is looked up once, and no more than `most` of its files are counted. What
+counts is put together once for all requests, as that takes about as long as to count; what finds is each request's.
 """
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 from typing import Any
 
 from sqlalchemy import (
@@ -13,24 +15,33 @@ from sqlalchemy import (
     BigInteger,
     ColumnElement,
     CompoundSelect,
+    Label,
     Select,
+    Subquery,
+    TableClause,
     Text,
+    all_,
     bindparam,
+    case,
     cast,
     column,
     distinct,
     func,
     literal,
+    literal_column,
+    null,
     select,
+    table,
     true,
     union_all,
 )
-from sqlalchemy.dialects.postgresql import JSONB, JSONPATH
+from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.keys import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
+from kleinkram.server.db import among
 from kleinkram.server.search import choosing
 from kleinkram.server.search.looking import drawn_files
 from kleinkram.server.search.matching import narrow_files, narrow_topics
@@ -41,6 +52,10 @@ MOST_FIELDS = 20
 # A longer value of a metadata field is a text, which nobody chooses from a list.
 _MOST_CHARACTERS = 80
 PLAIN_FACETS = ("project", "format", "content", "month", "label", "topic", "type")
+# Of these a file has one value, in a column of its own among what was found.
+_OF_FILES = ("project", "format", "content", "month")
+# What a value of a metadata field is, where it can be chosen.
+_KINDS = ("string", "number", "boolean")
 _FIELD = "^[A-Za-z][A-Za-z0-9_]*$"
 
 
@@ -58,114 +73,177 @@ def facet_rows(
 
     The row of the empty facet holds how many files were looked at. A facet of which something is chosen counts the
     files that would be found if nothing of it were, so that its numbers say what another choice would find. Of the
-    filters that find `many`, only files drawn by lot are looked at.
+    filters that find `many`, only files drawn by lot are looked at. It is executed with the `parameters` of the filter.
     """
 
-    def found_by(each: FileFilter, name: str) -> CTE:
+    def found_by(facet: str, name: str) -> CTE:
+        each = choosing.without(matching, facet) if facet else matching
         is_drawn = each in many
         as_drawn = replace(actor, looked=replace(actor.looked, finds_many=is_drawn))
         return _found(as_drawn, each, name, most, is_drawn=is_drawn)
 
-    base = found_by(matching, "found")
-    looked_at = _row(literal(""), literal(""), func.count(), literal(1, BigInteger)).select_from(base)
-    parts: list[Select[Any]] = [looked_at]
-    for facet in PLAIN_FACETS:
-        is_chosen = choosing.without(matching, facet) != matching
-        found = found_by(choosing.without(matching, facet), f"but_{facet}") if is_chosen else base
-        parts.append(_top(facet, _counted(facet, found, choosing.without(matching, facet))))
-    if sees_whole_missions(actor):
-        asked = choosing.fields(matching)
-        parts.append(_fields(base, None, leaving_out=asked))
-        for number, field in enumerate(asked):
-            open_ = choosing.without(matching, META + field)
-            parts.append(_fields(found_by(open_, f"but_field_{number}"), field))
-    return union_all(*(select(part.subquery()) for part in parts))
+    chosen = frozenset(facet for facet in PLAIN_FACETS if choosing.without(matching, facet) != matching)
+    found = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
+    topics = {
+        name: _topics(found.get(facet, found[""]), choosing.without(matching, facet), name)
+        for facet, name in _topics_of(chosen).items()
+    }
+    asked = choosing.fields(matching) if sees_whole_missions(actor) else []
+    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(asked)]
+    counts = _counts(chosen, len(asked), with_metadata=sees_whole_missions(actor))
+    return counts.add_cte(*found.values(), *topics.values(), *fields)
+
+
+def parameters(matching: FileFilter) -> dict[str, object]:
+    """Return what the statement of `facet_rows` is executed with: the metadata fields that a filter asks for."""
+    asked = choosing.fields(matching)
+    return {"asked": asked, **{f"field_{number}": field for number, field in enumerate(asked)}}
 
 
 def _found(actor: Actor, matching: FileFilter, name: str, most: int, *, is_drawn: bool) -> CTE:
-    columns = (
-        file.c.id,
-        file.c.blob_id,
-        file.c.mission_id,
-        file.c.labels,
-        project.c.name.label("project"),
-        blob.c.format,
-        blob.c.content,
-        file.c.start_ns,
-    )
-    found = narrow_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
+    found = narrow_files(actor, visible_files(actor), matching)
+    found = found.with_only_columns(*_columns(), maintain_column_froms=True)
     if is_drawn:
         found = found.where(file.c.id.in_(select(drawn_files().c.id)))
     return found.limit(most).cte(name).prefix_with("MATERIALIZED")
 
 
-def _counted(facet: str, found: CTE, matching: FileFilter) -> Select[Any]:
-    """Return `value` and `file_count` of a facet; topic and type are asked of one topic together."""
-    if facet in {"topic", "type"}:
-        # Read from the index by blob alone, which holds name and type.
-        blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
-        named = topic.c.name if facet == "topic" else topic.c.message_type
-        each = narrow_topics(select(named.label("value")).where(topic.c.blob_id == blobs.c.blob_id), matching)
-        # Said of the name too, although each has one: else the index of types is taken, and skipped through by blob.
-        once = each.where(named.is_not(None)).group_by(named).having(func.count(topic.c.name) > 0).lateral("once")
-        file_count = cast(func.sum(blobs.c.files), BigInteger)
-        return (
-            select(once.c.value, file_count.label("file_count")).join_from(blobs, once, true()).group_by(once.c.value)
-        )
-    if facet == "label":
-        label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
-        stmt = select(label.c.value, func.count(distinct(found.c.id)).label("file_count"))
-        return stmt.join_from(found, label, true()).group_by(label.c.value)
-    value: ColumnElement[Any] = found.c[facet] if facet != "month" else _month(found)
-    return select(value.label("value"), func.count().label("file_count")).where(value.is_not(None)).group_by(value)
+@cache
+def _columns() -> tuple[ColumnElement[Any], ...]:
+    began = func.to_timestamp(func.floor(file.c.start_ns / 1_000_000_000))
+    month = func.to_char(func.timezone("UTC", began), "YYYY-MM").label("month")
+    own = (file.c.id, file.c.blob_id, file.c.mission_id, file.c.labels)
+    return *own, project.c.name.label("project"), blob.c.format, blob.c.content, month
 
 
-def _month(found: CTE) -> ColumnElement[Any]:
-    began = func.to_timestamp(func.floor(found.c.start_ns / 1_000_000_000))
-    return func.to_char(func.timezone("UTC", began), "YYYY-MM")
+def _topics_of(chosen: Collection[str]) -> dict[str, str]:
+    """Return the names under which topics are read for their facet; once for both where neither is chosen."""
+    return {"topic": "topics"} if {"topic", "type"}.isdisjoint(chosen) else {"topic": "topics", "type": "types"}
 
 
-def _top(facet: str, counted: Select[Any]) -> Select[Any]:
-    values = counted.subquery()
-    value_count = func.count().over()
-    first = [values.c.value.desc()] if facet == "month" else [values.c.file_count.desc(), values.c.value]
-    row = _row(literal(facet), cast(values.c.value, Text), values.c.file_count, value_count)
-    return row.order_by(*first).limit(MOST_VALUES)
+def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
+    """Return `names` and `types` of topics side by side, and how many `files` have just these: many have the same."""
+    blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
+    # Read from the index by blob alone, which holds name and type, in its order and behind a fence: else the index of
+    # names or that of types may be gone through.
+    own = select(topic.c.name, topic.c.message_type).where(topic.c.blob_id == blobs.c.blob_id)
+    own = narrow_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
+    each = own.correlate(blobs).subquery()
+    sides = (func.array_agg(each.c.name).label("names"), func.array_agg(each.c.message_type).label("types"))
+    held = select(*sides).lateral("held")
+    files = cast(func.sum(blobs.c.files), BigInteger).label("files")
+    stmt = select(held.c.names, held.c.types, files).join_from(blobs, held, true())
+    return stmt.group_by(held.c.names, held.c.types).cte(name).prefix_with("MATERIALIZED")
 
 
-def _fields(found: CTE, only: str | None, *, leaving_out: Sequence[str] = ()) -> Select[Any]:
-    """Return the values of metadata fields: of one field, or of those that most files have."""
+# As much is kept as people choose in a day; what can be chosen together is a lot more.
+@lru_cache(maxsize=64)
+def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> CompoundSelect[Any]:
+    """Return what counts, where some facets are chosen and so many metadata fields asked for.
+
+    The files that were found, and their topics, it takes to be there under the names that `facet_rows` gives them.
+    """
+    base = _named("found")
+    looked_at = _row(literal(""), literal(""), func.count(), literal(1, BigInteger)).select_from(base)
+    together = [facet for facet in _OF_FILES if facet not in chosen]
+    counted = [_by_column(base, together)] if together else []
+    counted += [_by_column(_named(f"but_{facet}"), [facet]) for facet in _OF_FILES if facet in chosen]
+    counted.append(_by_label(_named("but_label") if "label" in chosen else base))
+    topics = _topics_of(chosen)
+    counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
+    parts = [looked_at, _top(union_all(*counted).subquery())]
+    if with_metadata:
+        parts.append(_fields(base, None))
+        parts += [_fields(_named(f"but_{only}"), only) for only in map("field_{}".format, range(fields))]
+    return union_all(*(select(part.subquery()) for part in parts))
+
+
+def _named(found: str) -> TableClause:
+    return table(found, *(column(str(each.key), each.type) for each in _columns()))
+
+
+def _by_column(found: TableClause, facets: Sequence[str]) -> Select[Any]:
+    columns = [found.c[facet] for facet in facets]
+    facet = case(*((func.grouping(each) == 0, literal(each.name)) for each in columns))
+    value = func.coalesce(*(cast(each, Text) for each in columns))
+    stmt = select(facet.label("facet"), value.label("value"), func.count().label("file_count"))
+    return stmt.group_by(func.grouping_sets(*columns))
+
+
+def _by_label(found: TableClause) -> Select[Any]:
+    label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
+    stmt = select(literal("label"), label.c.value, func.count(distinct(found.c.id)))
+    return stmt.join_from(found, label, true()).group_by(label.c.value)
+
+
+def _by_topic(facet: str, topics: str, side: str) -> Select[Any]:
+    sets = table(topics, column(side, ARRAY(Text)), column("files", BigInteger))
+    held = func.unnest(sets.c[side]).table_valued(column("value", Text)).render_derived(name="held")
+    once = select(held.c.value).distinct().lateral("once")
+    stmt = select(literal(facet), once.c.value, cast(func.sum(sets.c.files), BigInteger))
+    return stmt.join_from(sets, once, true()).group_by(once.c.value)
+
+
+def _top(counted: Subquery) -> Select[Any]:
+    """Return the values of each plain facet that are shown: the most frequent first, months the latest."""
+    value = counted.c.value.collate("C")
+    month = case((counted.c.facet == "month", value), else_=null())
+    in_order = (month.desc(), counted.c.file_count.desc(), value)
+    place = func.row_number().over(partition_by=counted.c.facet, order_by=in_order).label("place")
+    value_count = func.count().over(partition_by=counted.c.facet).label("value_count")
+    ranked = select(counted, place, value_count).where(counted.c.value.is_not(None)).subquery()
+    row = _row(ranked.c.facet, ranked.c.value, ranked.c.file_count, ranked.c.value_count)
+    return row.where(ranked.c.place <= MOST_VALUES)
+
+
+def _fields(found: TableClause, only: str | None) -> Select[Any]:
+    """Return the values of metadata fields: of one field, or of those that most files have, and not asked for."""
     values = _field_values(found).subquery()
+    if only is None:
+        is_wanted = values.c.key != all_(bindparam("asked", type_=ARRAY(Text)))
+    else:
+        is_wanted = values.c.key == bindparam(only, type_=Text())
     weight = func.sum(values.c.file_count).over(partition_by=values.c.key)
-    in_order = (values.c.file_count.desc(), values.c.value)
+    in_order = (values.c.file_count.desc(), values.c.value.collate("C"))
     place = func.row_number().over(partition_by=values.c.key, order_by=in_order)
     value_count = func.count().over(partition_by=values.c.key)
-    chosen = values.c.key.not_in(leaving_out) if only is None else values.c.key == only
     counted = (place.label("place"), weight.label("weight"), value_count.label("value_count"))
-    ranked = select(values, *counted).where(chosen).subquery()
+    ranked = select(values, *counted).where(is_wanted).subquery()
     facet = literal(META).concat(ranked.c.key)
     row = _row(facet, ranked.c.value, ranked.c.file_count, ranked.c.value_count, kind=ranked.c.kind)
     stmt = row.where(ranked.c.place <= MOST_VALUES)
     return stmt.order_by(ranked.c.weight.desc(), ranked.c.key, ranked.c.place).limit(MOST_VALUES * MOST_FIELDS)
 
 
-def _field_values(found: CTE) -> Select[Any]:
+def _field_values(found: TableClause) -> Select[Any]:
     """Return `key`, `value`, `kind` and `file_count` of what missions say; each item of a list is a value."""
+    said = _said(found)
+    of_list = cast(case((said.c.kind == "array", said.c.value), else_=null()), JSONB)
+    item = func.jsonb_array_elements(of_list).table_valued(column("value", JSONB)).render_derived(name="item")
+    once = select(*_as_text(item.c.value)).distinct().lateral("once")
+    alone = select(said.c.key, said.c.value, said.c.kind, said.c.files).where(said.c.kind != "array")
+    listed = select(said.c.key, once.c.value, once.c.kind, said.c.files).join_from(said, once, true())
+    each = union_all(alone, listed.where(said.c.kind == "array")).subquery()
+    is_value = (among(each.c.kind, _KINDS), func.length(each.c.value) <= _MOST_CHARACTERS)
+    file_count = cast(func.sum(each.c.files), BigInteger).label("file_count")
+    columns = (each.c.key, each.c.value, each.c.kind)
+    return select(*columns, file_count).where(*is_value, each.c.key.regexp_match(_FIELD)).group_by(*columns)
+
+
+def _said(found: TableClause) -> CTE:
+    """Return `key`, `value` as text, `kind`, and of how many `files` the mission says so; a list as a whole."""
     missions = select(found.c.mission_id, func.count().label("files")).group_by(found.c.mission_id).subquery()
     entry = func.jsonb_each(mission.c.metadata).table_valued(column("key", Text), column("value", JSONB))
     entry = entry.render_derived(name="entry")
-    item = func.jsonb_path_query(entry.c.value, cast("lax $[*]", JSONPATH)).table_valued(column("value", JSONB))
-    item = item.render_derived(name="item")
-    kind = func.jsonb_typeof(item.c.value)
-    text = item.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
-    once = select(missions, entry.c.key.label("key"), text.label("value"), kind.label("kind")).distinct()
-    once = once.join_from(missions, mission, mission.c.id == missions.c.mission_id)
-    once = once.join(entry, true()).join(item, true())
-    is_value = (kind.in_(["string", "number", "boolean"]), func.length(text) <= _MOST_CHARACTERS)
-    said = once.where(*is_value, entry.c.key.regexp_match(_FIELD)).subquery()
-    file_count = cast(func.sum(said.c.files), BigInteger).label("file_count")
-    columns = (said.c.key, said.c.value, said.c.kind)
-    return select(*columns, file_count).group_by(*columns)
+    columns = (entry.c.key.label("key"), *_as_text(entry.c.value))
+    stmt = select(*columns, func.sum(missions.c.files).label("files"))
+    stmt = stmt.join_from(missions, mission, mission.c.id == missions.c.mission_id).join(entry, true())
+    return stmt.group_by(*(each.element for each in columns)).cte(f"said_{found.name}")
+
+
+def _as_text(value: ColumnElement[Any]) -> tuple[Label[str], Label[str]]:
+    text = value.op("#>>", return_type=Text())(literal_column("'{}'", ARRAY(Text)))
+    return text.label("value"), func.jsonb_typeof(value, type_=Text()).label("kind")
 
 
 def _row(facet: Any, value: Any, file_count: Any, value_count: Any, *, kind: Any = "string") -> Select[Any]:

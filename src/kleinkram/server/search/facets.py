@@ -1,6 +1,6 @@
 """Facets: how what a query finds divides, and the query with each part chosen. Bounded in files and in time."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import psycopg
@@ -10,12 +10,13 @@ from sqlalchemy.exc import DBAPIError
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query import parse, render
 from kleinkram.contract.query.keys import META, is_glob
+from kleinkram.contract.query.rendering import in_words, terms, terms_of
 from kleinkram.contract.searching import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import choosing
-from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, variants
+from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
 from kleinkram.server.search.looking import let_join, look_ahead
 from kleinkram.server.search.queries import room_to_count
 
@@ -60,11 +61,15 @@ async def _within(
     milliseconds: int,
 ) -> Sequence[Row[Any]] | None:
     """Return the rows of all facets, or None where that takes too long."""
+    stmt, values = facet_rows(actor, matching, most=most, many=many), parameters(matching)
+    if len(many) == len(variants(actor, matching)):
+        # All files are drawn, and have just been looked through: that takes no time to be bounded.
+        return (await db.execute(stmt, values)).all()
     try:
         async with db.begin_nested():
             timeout = func.set_config("statement_timeout", str(milliseconds), True)
             await db.execute(room_to_count().add_columns(timeout))
-            return (await db.execute(facet_rows(actor, matching, most=most, many=many))).all()
+            return (await db.execute(stmt, values)).all()
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.QueryCanceled):
             return None
@@ -74,31 +79,35 @@ async def _within(
 def _facets(matching: FileFilter, rows: Sequence[Row[Any]], *, with_metadata: bool) -> Iterator[Facet]:
     fields = list(dict.fromkeys(row.facet for row in rows if row.facet.startswith(META)))
     fields += [META + field for field in choosing.fields(matching) if with_metadata and META + field not in fields]
+    held: dict[str, list[Row[Any]]] = {name: [] for name in ["", *PLAIN_FACETS, *fields]}
+    for row in rows:
+        held[row.facet].append(row)
+    said = terms(matching)
     for name in [*PLAIN_FACETS, *fields]:
-        held = [row for row in rows if row.facet == name]
-        values = [*_values(matching, name, held)]
+        values = [*_values(matching, said, name, held[name])]
         if values:
-            yield Facet(name=name, values=values, value_count=max([len(values), *(row.value_count for row in held)]))
+            value_count = max([len(values), *(row.value_count for row in held[name])])
+            yield Facet(name=name, values=values, value_count=value_count)
 
 
-def _values(matching: FileFilter, facet: str, rows: Iterable[Row[Any]]) -> Iterator[FacetValue]:
+def _values(
+    matching: FileFilter, said: Mapping[str, list[str]], facet: str, rows: Sequence[Row[Any]]
+) -> Iterator[FacetValue]:
     chosen = choosing.chosen(matching, facet)
     in_order = sorted(rows, key=lambda row: row.value, reverse=True)
     if facet != "month":
         in_order = sorted(rows, key=lambda row: (-row.file_count, row.value))
-    shown = [row for row in in_order if choosing.can_be_asked(row.value, row.kind)]
-    for row in shown:
-        yield _value(matching, facet, row.value, row.file_count, row.kind)
+    found = [(row.value, row.file_count, row.kind) for row in in_order if choosing.can_be_asked(row.value, row.kind)]
     # What is chosen stays to be taken back, whether or not it is among the first; globs are no values.
-    for value in chosen:
-        if not any(choosing.is_chosen([value], facet, row.value) for row in shown) and not is_glob(value):
-            yield _value(matching, facet, value, 0, "string")
-
-
-def _value(matching: FileFilter, facet: str, value: str, file_count: int, kind: str) -> FacetValue:
-    held = choosing.is_chosen(choosing.chosen(matching, facet), facet, value)
-    if held:
-        toggled = choosing.without_value(matching, facet, value)
-    else:
-        toggled = choosing.with_value(matching, facet, value, kind=kind)
-    return FacetValue(value=value, file_count=file_count, is_chosen=held, query=render(toggled))
+    is_found = {value for value in chosen if any(choosing.is_chosen([value], facet, each) for each, *_ in found)}
+    found += [(value, 0, "string") for value in chosen if value not in is_found and not is_glob(value)]
+    # Only what is said of the facet differs from value to value.
+    part = META if facet.startswith(META) else facet
+    for value, file_count, kind in found:
+        is_chosen = choosing.is_chosen(chosen, facet, value)
+        if is_chosen:
+            toggled = choosing.without_value(matching, facet, value)
+        else:
+            toggled = choosing.with_value(matching, facet, value, kind=kind)
+        query = in_words({**said, part: terms_of(part, toggled)})
+        yield FacetValue(value=value, file_count=file_count, is_chosen=is_chosen, query=query)
