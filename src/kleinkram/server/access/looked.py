@@ -28,8 +28,13 @@ class Looked:
     # The word by which files are looked up, where few hold it; or whether very many files are found.
     led_by: str | None = None
     finds_many: bool = False
-    # All files that are found, where these are few.
+    # Whether everything is gone through that may match.
+    goes_through_all: bool = False
+    # All files that are found, where these are few, with the missions they are in and their blobs: of those that are
+    # seen by who asks.
     file_ids: tuple[uuid.UUID, ...] | None = None
+    mission_ids: tuple[uuid.UUID, ...] = ()
+    blob_ids: tuple[uuid.UUID, ...] = ()
 
     @property
     def finds_few(self) -> bool:

@@ -129,11 +129,18 @@ async def find_few(db: Connection, actor: Actor, matching: FileFilter) -> Actor:
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    found = narrow_files(actor, visible_files(actor), matching).with_only_columns(file.c.id, maintain_column_froms=True)
+    through = replace(actor, looked=replace(actor.looked, goes_through_all=True))
+    found = narrow_files(through, visible_files(actor), matching)
+    found = found.with_only_columns(file.c.id, file.c.mission_id, file.c.blob_id, maintain_column_froms=True)
     # Planned as if all were wanted: with a limit of its own, the database would count on meeting that many soon.
     every = found.cte("found").prefix_with("MATERIALIZED")
-    file_ids = (await db.execute(select(every.c.id).limit(_FEW + 1))).scalars().all()
-    return actor if len(file_ids) > _FEW else replace(actor, looked=replace(actor.looked, file_ids=tuple(file_ids)))
+    rows = (await db.execute(select(every).limit(_FEW + 1))).all()
+    if len(rows) > _FEW:
+        return actor
+    file_ids, mission_ids, blob_ids = zip(*rows, strict=True) if rows else ((), (), ())
+    mission_ids = tuple(dict.fromkeys(mission_ids))
+    looked = replace(actor.looked, file_ids=file_ids, mission_ids=mission_ids, blob_ids=blob_ids)
+    return replace(actor, looked=looked)
 
 
 def drawn_missions() -> CTE:

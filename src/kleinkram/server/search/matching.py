@@ -13,6 +13,7 @@ from sqlalchemy import (
     Select,
     Table,
     Text,
+    Uuid,
     and_,
     case,
     cast,
@@ -114,6 +115,8 @@ def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter)
 
 
 def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement[bool]:
+    if actor.looked.file_ids is not None:
+        return select(func.unnest(literal([*actor.looked.mission_ids], ARRAY(Uuid))))
     if not actor.looked.finds_many:
         files = narrow_files(actor, visible_files(actor), matching)
         return files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)

@@ -60,14 +60,15 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
 
 async def _counted(db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int) -> _Found:
     """Look for all that there is. Where it is little, it is looked for once, and then read by its ids."""
+    await db.execute(queries.room_to_count())
     if matching != FileFilter():
         actor = await find_few(db, actor, matching)
     file_ids = actor.looked.file_ids
+    blob_ids = None if file_ids is None else actor.looked.blob_ids
     missions_found = await _missions_found(db, actor, matching, PageRequest(limit, count=True))
     page = PageRequest(limit, count=file_ids is None)
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page)
-    await db.execute(queries.room_to_count())
-    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit))).all()
+    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, blob_ids=blob_ids))).all()
     total = files_found.total if file_ids is None else len(file_ids)
     return missions_found, files_found.model_copy(update={"total": total}), _topics_of(rows)
 

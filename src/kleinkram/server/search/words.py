@@ -104,7 +104,12 @@ def _in_mission(actor: Actor, said: Said) -> Conditions:
         in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
     else:
         in_project = _named(mission.c.project_id, said.project_ids)
-    says = _mission_says(actor, said.word) if said.mission_ids is None else _named(mission.c.id, said.mission_ids)
+    if said.mission_ids is not None:
+        return _named(mission.c.id, said.mission_ids) + in_project
+    says = _mission_says(actor, said.word)
+    if actor.looked.goes_through_all:
+        # Once of each mission, and not of each of its files.
+        says = [mission.c.id.in_(select(mission.c.id).where(or_(*says)).correlate(None))]
     return says + in_project
 
 
