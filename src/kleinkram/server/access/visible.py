@@ -89,9 +89,14 @@ def count_missions(actor: Actor) -> Select[Any]:
 
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
+    return joined_files().where(file_is_visible(actor, right))
+
+
+def file_is_visible(actor: Actor, right: Right = Right.read) -> ColumnElement[bool]:
+    """Say of each `file` of `joined_files` whether it is one of `visible_files`."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    stmt = joined_files().where(*live, _reaches_file(actor, right))
-    return stmt if actor.few_mission_ids is None else stmt.where(among(file.c.mission_id, actor.few_mission_ids))
+    visible = and_(*live, _reaches_file(actor, right))
+    return visible if actor.few_mission_ids is None else visible & among(file.c.mission_id, actor.few_mission_ids)
 
 
 def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:

@@ -33,6 +33,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
+    file_is_visible,
     files_of_seen,
     joined_files,
     missions_by_project,
@@ -153,7 +154,7 @@ def _hex(digest: bytes | None) -> str | None:
 
 def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the visible files among some ids."""
-    return file_rows(visible_files(actor).where(among(file.c.id, file_ids)))
+    return _rows_of_all().where(file_is_visible(actor), among(file.c.id, file_ids))
 
 
 def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Select[Any]:

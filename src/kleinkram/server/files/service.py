@@ -115,8 +115,9 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
     Raises:
         NotFound: the file is not there, or not for this actor.
     """
-    await _row(db, actor, file_id)
     rows = await fetch_page(db, queries.topics_of_file(actor, file_id), TOPIC_ORDER, page)
+    if not rows.items:
+        await _row(db, actor, file_id)
     return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
