@@ -59,7 +59,8 @@ class UploadState(str, enum.Enum):
 class UploadFile(BaseModel):
     """One file that a client wants to upload. Hashes where they are known already, lower-case hex.
 
-    Small files come with their sha256 at once, so that most are decided in one answer.
+    Small files come with both hashes at once, so that most are decided in one answer, and where there is one part, its
+    address is in it.
     `upload_id` resumes an earlier upload of the same path and size; where there is none, one begins by that id. So who
     says the same twice, since an answer did not come, gets what the first began.
     """
@@ -69,6 +70,7 @@ class UploadFile(BaseModel):
     path: FilePath
     size_bytes: Annotated[int, Field(ge=0, le=MAX_FILE_BYTES)]
     sha256: Sha256 | None = None
+    crc64nvme: Crc64 | None = None
     upload_id: uuid.UUID | None = None
 
 
@@ -107,6 +109,31 @@ class UploadRead(BaseModel):
     parts: list[HeldPart] = []
 
 
+class SignedPart(BaseModel):
+    """PUT the part's bytes to `url` with exactly these headers, before `expires_at`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    upload_id: uuid.UUID
+    number: PartNumber
+    url: str
+    headers: dict[str, Annotated[str, Field(pattern=r"^[\x20-\x7e]*$")]]
+    expires_at: datetime.datetime
+
+
+class Send(BaseModel):
+    """Send the parts that `upload` does not list.
+
+    `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    decision: Literal["send"] = "send"
+    upload: UploadRead
+    part: SignedPart | None = None
+
+
 class Present(BaseModel):
     """The mission already has this very file under this name: nothing to send. `file` is null for who may not read."""
 
@@ -132,15 +159,6 @@ class HashFirst(BaseModel):
 
     decision: Literal["hash_first"] = "hash_first"
     path: str
-
-
-class Send(BaseModel):
-    """Send the parts that `upload` does not list."""
-
-    model_config = ConfigDict(frozen=True)
-
-    decision: Literal["send"] = "send"
-    upload: UploadRead
 
 
 class Refused(BaseModel):
@@ -186,18 +204,6 @@ class PartsSign(BaseModel):
         if len({(part.upload_id, part.number) for part in self.parts}) < len(self.parts):
             raise ValueError("a part is asked for twice; one part has one checksum")
         return self
-
-
-class SignedPart(BaseModel):
-    """PUT the part's bytes to `url` with exactly these headers, before `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
-
-    upload_id: uuid.UUID
-    number: PartNumber
-    url: str
-    headers: dict[str, Annotated[str, Field(pattern=r"^[\x20-\x7e]*$")]]
-    expires_at: datetime.datetime
 
 
 class SignedParts(BaseModel):

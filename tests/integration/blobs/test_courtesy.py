@@ -73,6 +73,17 @@ def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: 
     _with_courtesy(api, twice)
 
 
+def test_those_that_waited_long_enough_take_turns_with_what_still_comes(api: Api, upload_id: str) -> None:
+    async def several(courtesy: Courtesy) -> None:
+        started = time.monotonic()
+        await asyncio.wait_for(asyncio.gather(*(courtesy.give_way(0) for _ in range(4))), 10)
+        assert time.monotonic() - started >= 0.6
+        api.delete(f"/uploads/{upload_id}").ok(204)
+        await asyncio.wait_for(asyncio.gather(*(courtesy.give_way(0) for _ in range(1000))), 60)
+
+    _with_courtesy(api, several)
+
+
 def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
     async def stop(courtesy: Courtesy) -> None:
         waiting = asyncio.create_task(courtesy.give_way(_LONG_S))

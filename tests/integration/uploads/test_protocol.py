@@ -276,6 +276,34 @@ def test_one_part_is_signed_for_one_checksum_only(api: Api, mission_id: str, one
     sign(api, started, [(1, one), (1, two)]).refused(422, "invalid_request")
 
 
+def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
+    api: Api, mission_id: str, one: bytes, two: bytes
+) -> None:
+    [said] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
+    started = said["upload"]
+    sign(api, started, [(1, two)]).refused(410, "upload_gone")
+    again = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one), upload_id=started["id"])[0]
+    assert again["part"]["headers"] == said["part"]["headers"]
+    assert put(again["part"], two) >= 400
+    assert put(again["part"], one) == 200
+    assert complete(api, started, one)["outcome"] == "completed"
+
+
+def test_what_has_more_parts_or_no_checksum_is_not_signed_for_at_once(api: Api, mission_id: str, one: bytes) -> None:
+    large = os.urandom(_PART + 1)
+    assert begin(api, mission_id, {"run.bin": one})[0]["part"] is None
+    assert begin(api, mission_id, {"large.bin": large}, crc64nvme=crc64(large))[0]["part"] is None
+
+
+def test_one_signed_for_other_bytes_is_not_signed_for_at_once(
+    api: Api, mission_id: str, one: bytes, two: bytes
+) -> None:
+    started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
+    sign(api, started, [(1, one)]).ok()
+    again = begin(api, mission_id, {"run.bin": two}, crc64nvme=crc64(two), upload_id=started["id"])[0]
+    assert (again["upload"]["id"], again["part"]) == (started["id"], None)
+
+
 def test_an_address_writes_once(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     signed = sign(api, started, [(1, one)]).ok()["items"][0]

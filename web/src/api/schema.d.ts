@@ -5683,6 +5683,8 @@ export interface components {
         /**
          * Send
          * @description Send the parts that `upload` does not list.
+         *
+         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
          */
         Send: {
             /**
@@ -5690,6 +5692,7 @@ export interface components {
              * @enum {string}
              */
             decision: "send";
+            part?: components["schemas"]["SignedPart"] | null;
             upload: components["schemas"]["UploadRead"];
         };
         /**
@@ -6245,11 +6248,14 @@ export interface components {
          * UploadFile
          * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
          *
-         *     Small files come with their sha256 at once, so that most are decided in one answer.
+         *     Small files come with both hashes at once, so that most are decided in one answer, and where there is one part, its
+         *     address is in it.
          *     `upload_id` resumes an earlier upload of the same path and size; where there is none, one begins by that id. So who
          *     says the same twice, since an answer did not come, gets what the first began.
          */
         UploadFile: {
+            /** Crc64Nvme */
+            crc64nvme?: string | null;
             /** Path */
             path: string;
             /** Sha256 */

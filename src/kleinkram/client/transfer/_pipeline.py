@@ -129,7 +129,11 @@ class Pipeline:
         cost = max(size_bytes, _PART_COST)
         self._ahead.acquire(cost)
         sending.add_part()
-        self._to_sign.put(Part(sending, number, offset, size_bytes, checksum, cost))
+        part = Part(sending, number, offset, size_bytes, checksum, cost)
+        if sending.signed is None:
+            self._to_sign.put(part)
+        else:  # the server has signed it for what was announced, which is what was hashed
+            self._to_send.put((part, sending.signed))
 
     # -- signing ------------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from kleinkram.client.transfer.journal import Journal, JournalPart
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.uploads import ChecksumKind, HeldPart, PartToSign, UploadFinish, UploadRead
+from kleinkram.contract.uploads import ChecksumKind, HeldPart, PartToSign, Send, UploadFinish
 
 
 @dataclass(frozen=True)
@@ -36,17 +36,18 @@ class Part:
 class Sending:
     """An upload of one file; `whole` are its checksums where it has been read already."""
 
-    def __init__(self, source: Source, journal: Journal, upload: UploadRead, whole: WholeHash | None) -> None:
+    def __init__(self, source: Source, journal: Journal, send: Send, whole: WholeHash | None) -> None:
         self.source = source
         self.journal = journal
-        self.upload = upload
+        self.upload = send.upload
+        self.signed = send.part
         self._is_hashed = whole is not None
         self.whole = whole or WholeHash()
         self.latest: PartToSign | None = None
         self.renewed_at = time.monotonic()
         self.sent_bytes = 0
         self.ended = False
-        self._held = {part.number: part for part in upload.parts}
+        self._held = {part.number: part for part in send.upload.parts}
         self._left = 1  # the hashing itself; parts are added while it runs
         self._lock = threading.Lock()
 

@@ -55,7 +55,7 @@ class Candidate:
         """Return what the server is told."""
         said: dict[str, object] = {"path": self.source.file.path, "size_bytes": self.source.file.size_bytes}
         if self.whole is not None:
-            said["sha256"] = self.whole.sha256.hexdigest()
+            said |= {"sha256": self.whole.sha256.hexdigest(), "crc64nvme": self.whole.crc64nvme.hexdigest()}
         # By an id of our own: an answer may be lost, and its upload would hold the name against us.
         remembered = self.journal.remembered
         said["upload_id"] = self.new_id if remembered is None else remembered.upload_id
@@ -193,7 +193,7 @@ class Uploader:
             result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256)
             self._ended(result)
         else:
-            self._pipeline.submit(Sending(candidate.source, candidate.journal, decision.upload, candidate.whole))
+            self._pipeline.submit(Sending(candidate.source, candidate.journal, decision, candidate.whole))
         return False
 
     def _hash_first(self, candidate: Candidate) -> bool:

@@ -1,9 +1,26 @@
 """What is asked of the record. Functions return selects; they touch no connection."""
 
 import datetime
-from typing import Any
+import uuid
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Integer, Row, Select, Uuid, bindparam, func, literal, select, union
+from sqlalchemy import (
+    ARRAY,
+    Boolean,
+    ColumnElement,
+    Integer,
+    Row,
+    ScalarSelect,
+    Select,
+    Uuid,
+    column,
+    func,
+    literal,
+    select,
+    union,
+)
+from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from kleinkram.contract.audit import AuditFilter, AuditRead, CredentialRef
 from kleinkram.contract.people import PersonRef
@@ -12,31 +29,44 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
 from kleinkram.server.pages import Order
 from kleinkram.server.search.globs import matches
+from kleinkram.server.sets import given
 from kleinkram.server.tables import audit_event, mission, person, project, share, token
 
 # Latest first; an export is the other way round.
 AUDIT_ORDER = Order([audit_event.c.id], descending=True)
 
 
-def lacks_own_right(admin: Actor) -> ColumnElement[bool]:
-    """Say of an event that is written whether `admin` would have been refused it without their power.
+class Place(NamedTuple):
+    """Where something happened, and the level of right that it took there."""
 
-    Parameters: `own_project_id`, `own_mission_id`, and `own_needed`, the level that it took.
+    project_id: uuid.UUID | None
+    mission_id: uuid.UUID | None
+    needed: int
+
+
+def lacks_own_right(admin: Actor, places: Sequence[Place]) -> ScalarSelect[Sequence[bool]]:
+    """Say of each place whether `admin` would have been refused without their power: an array, in order.
+
+    Worked out once a statement, however many events of it happened there.
     """
-    project_id = bindparam("own_project_id", type_=Uuid)
-    mission_id = bindparam("own_mission_id", type_=Uuid)
-    by_mission, by_project = _own_level_on_mission(admin, mission_id), _own_level_on_project(admin, project_id)
-    return func.coalesce(by_mission, by_project, literal(0)) < bindparam("own_needed", type_=Integer)
+    columns = [column("number", Integer), column("project_id", Uuid), column("mission_id", Uuid)]
+    rows = [{"number": number, **place._asdict()} for number, place in enumerate(places)]
+    place = given([*columns, column("needed", Integer)], rows)
+    by_mission = _own_level_on_mission(admin, place.c.mission_id)
+    by_project = _own_level_on_project(admin, place.c.project_id)
+    is_lacking = func.coalesce(by_mission, by_project, literal(0)) < place.c.needed
+    in_order = aggregate_order_by(is_lacking, place.c.number)
+    return select(func.array_agg(in_order, type_=ARRAY(Boolean))).select_from(place).scalar_subquery()
 
 
 def _own_level_on_mission(admin: Actor, mission_id: ColumnElement[Any]) -> ColumnElement[int]:
     level = select(level_on_mission(admin.without_power())).select_from(mission.join(project))
-    return level.where(mission.c.id == mission_id).correlate(None).scalar_subquery()
+    return level.where(mission.c.id == mission_id).correlate_except(mission, project).scalar_subquery()
 
 
 def _own_level_on_project(admin: Actor, project_id: ColumnElement[Any]) -> ColumnElement[int]:
     level = select(level_on_project(admin.without_power())).select_from(project)
-    return level.where(project.c.id == project_id).correlate(None).scalar_subquery()
+    return level.where(project.c.id == project_id).correlate_except(project).scalar_subquery()
 
 
 def visible_events(actor: Actor) -> Select[Any]:

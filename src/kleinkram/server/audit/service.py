@@ -1,10 +1,10 @@
 """Writing the record, and reading it."""
 
 import uuid
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sqlalchemy import false, insert
+from sqlalchemy import Insert, Integer, column, insert, select
 
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.events import ChangeKind
@@ -17,6 +17,7 @@ from kleinkram.server.audit import queries
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.sets import given, insert_rows
 from kleinkram.server.tables import audit_event
 
 _AT_ONCE = 500
@@ -61,9 +62,22 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
     """
     if not events:
         return
-    marked = queries.lacks_own_right(actor) if actor is not None and actor.is_admin else false()
-    await db.execute(insert(audit_event).values(as_admin=marked), [_values(actor, event) for event in events])
+    rows = [_values(actor, event) for event in events]
+    if actor is not None and actor.is_admin:
+        await db.execute(_insert_marked(actor, rows, [_place(actor, event) for event in events]))
+    else:
+        await db.execute(insert_rows(audit_event, rows))
     await tell(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
+
+
+def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: Sequence[queries.Place]) -> Insert:
+    """Return what inserts rows with the mark of what took an admin's power, each by where it happened."""
+    numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
+    numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
+    said = given([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
+    marks = queries.lacks_own_right(admin, [*numbers])
+    values = select(*(said.c[key] for key in rows[0]), marks[said.c.place])
+    return insert(audit_event).from_select([*rows[0], "as_admin"], values)
 
 
 _CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim", "put_back"})
@@ -93,10 +107,11 @@ def _values(actor: Actor | None, event: Event) -> dict[str, object]:
         "address": actor.address,
         "request_id": actor.request_id,
     }
-    if actor.is_admin:
-        who |= {"own_project_id": event.project_id, "own_mission_id": event.mission_id}
-        who["own_needed"] = _needed(actor, event)
     return values | who
+
+
+def _place(actor: Actor, event: Event) -> queries.Place:
+    return queries.Place(event.project_id, event.mission_id, _needed(actor, event))
 
 
 def _needed(actor: Actor, event: Event) -> int:

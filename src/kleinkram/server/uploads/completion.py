@@ -9,7 +9,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Row, bindparam, func, insert, select, update
+from sqlalchemy import Row, case, func, select, update
 
 from kleinkram.contract.errors import (
     ChecksumMismatch,
@@ -43,6 +43,7 @@ from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
+from kleinkram.server.sets import given, insert_rows
 from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
@@ -107,32 +108,20 @@ async def _mark(
 ) -> dict[uuid.UUID, Row[Any]]:
     """Mark uploads as being completed, with the hashes that the client states; note those that cannot be."""
     rows = await queries.locked_uploads(db, actor, [finish.upload_id for finish in finishes])
-    marks = []
+    marks: dict[uuid.UUID, dict[str, object]] = {}
     for finish in finishes:
         row = rows.get(finish.upload_id)
         error = _unfit(row, finish)
         if error is not None:
             failures[finish.upload_id] = error
         elif row is not None and row.state != UploadState.done.value:
-            marks.append(
-                {
-                    "b_id": row.id,
-                    "b_sha256": bytes.fromhex(finish.sha256),
-                    "b_crc64nvme": bytes.fromhex(finish.crc64nvme),
-                }
-            )
+            hashes = {"sha256": bytes.fromhex(finish.sha256), "crc64nvme": bytes.fromhex(finish.crc64nvme)}
+            marks[row.id] = {"id": row.id, **hashes}
     if marks:
-        statement = (
-            update(upload)
-            .where(upload.c.id == bindparam("b_id"))
-            .values(
-                state=UploadState.completing.value,
-                sha256=bindparam("b_sha256"),
-                crc64nvme=bindparam("b_crc64nvme"),
-                completing_since=func.now(),
-            )
-        )
-        await db.execute(statement, marks)
+        said = given([upload.c.id, upload.c.sha256, upload.c.crc64nvme], [*marks.values()])
+        stated = {"sha256": said.c.sha256, "crc64nvme": said.c.crc64nvme}
+        marked = {"state": UploadState.completing.value, "completing_since": func.now(), **stated}
+        await db.execute(update(upload).where(upload.c.id == said.c.id).values(**marked))
     ids = dict.fromkeys(finish.upload_id for finish in finishes)
     found = {row.id: row for row in await db.execute(select(upload).where(among(upload.c.id, ids)))}
     # In the order asked: of two that cannot stand side by side, the first comes in.
@@ -206,28 +195,26 @@ async def _insert(
     if not rows:
         return {}
     blob_ids = {row.id: uuid.uuid4() for row in rows}
-    await db.execute(insert(blob), [blob_values(row, blob_ids[row.id]) for row in rows])
+    await db.execute(insert_rows(blob, [blob_values(row, blob_ids[row.id]) for row in rows]))
     mended = {row.id: existing[row.path_key].id for row in rows if row.path_key in existing}
     for upload_id, file_id in mended.items():
         await db.execute(update(file).where(file.c.id == file_id).values(blob_id=blob_ids[upload_id]))
     new = {row.id: uuid.uuid4() for row in rows if row.id not in mended}
     if new:
-        await db.execute(
-            insert(file),
-            [
-                {
-                    "id": new[row.id],
-                    "mission_id": mission_id,
-                    "blob_id": blob_ids[row.id],
-                    "path": row.path,
-                    "path_key": row.path_key,
-                    "origin": "upload",
-                    "uploaded_by_id": row.person_id,
-                }
-                for row in rows
-                if row.id in new
-            ],
-        )
+        values = [
+            {
+                "id": new[row.id],
+                "mission_id": mission_id,
+                "blob_id": blob_ids[row.id],
+                "path": row.path,
+                "path_key": row.path_key,
+                "origin": "upload",
+                "uploaded_by_id": row.person_id,
+            }
+            for row in rows
+            if row.id in new
+        ]
+        await db.execute(insert_rows(file, values))
     made = mended | new
     project_id = (await missions.get_mission_row(db, actor, mission_id)).project_id
     await record_all(
@@ -256,10 +243,11 @@ async def _close(db: Connection, mission_id: uuid.UUID, made: Mapping[uuid.UUID,
         return
     # What a blob does not use (the same bytes came in by another way) is cleaned by the sweep.
     kept = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
-    statement = update(upload).where(upload.c.id == bindparam("b_id"))
-    values = {"state": UploadState.done.value, "file_id": bindparam("b_file_id")}
-    await db.execute(statement.values(**values), [{"b_id": key, "b_file_id": value} for key, value in made.items()])
-    await db.execute(update(upload).where(among(upload.c.id, made), kept).values(cleaned_at=func.now()))
+    rows = [{"id": upload_id, "file_id": file_id} for upload_id, file_id in made.items()]
+    said = given([upload.c.id, upload.c.file_id], rows)
+    cleaned_at = case((kept, func.now()), else_=upload.c.cleaned_at)
+    values = {"state": UploadState.done.value, "file_id": said.c.file_id, "cleaned_at": cleaned_at}
+    await db.execute(update(upload).where(upload.c.id == said.c.id).values(**values))
     await tell(db, [Notice("upload", ChangeKind.removed, each, mission_id=mission_id) for each in made])
 
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row, func, select, update
-from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import (
     NameLeased,
@@ -49,13 +48,14 @@ from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.sets import insert_rows
 from kleinkram.server.site import Site
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.linking import link_twins
 from kleinkram.server.uploads.rules import Decision, Known, Way, as_shown, content_of, decide, first_come
-from kleinkram.server.uploads.signing_parts import is_multipart, renewed
+from kleinkram.server.uploads.signing_parts import first_checksum, is_multipart, renewed, sign_first
 
 _AT_ONCE = 16
 
@@ -92,7 +92,7 @@ async def begin_uploads(
     if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
         async with site.database.begin() as db:
             reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
-    return [_answer(actor, decision, rows, parts, reads) for decision in decisions]
+    return [_answer(site, actor, decision, rows, parts, reads) for decision in decisions]
 
 
 async def let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
@@ -153,8 +153,8 @@ async def _hold_names(
     asked_for = [decision.wanted.upload_id for decision in begun if decision.wanted.upload_id]
     used = await queries.used_ids(db, asked_for) if asked_for else frozenset()
     rows = [new_upload(site, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
-    statement = upsert(upload).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
-    ids = {row.path: row.id for row in await db.execute(statement, rows)}
+    statement = insert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
+    ids = {row.path: row.id for row in await db.execute(statement)}
     await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
 
@@ -181,6 +181,7 @@ def new_upload(
         "size_bytes": wanted.size_bytes,
         "part_size_bytes": part_size_bytes(wanted.size_bytes),
         "checksum": site.storage.checksum.value,
+        "signed_checksum": first_checksum(site.storage, wanted),
         "store_id": site.settings.store_id,
         # One prefix a request: its small files are then found with one listing.
         "key": f"{batch}/{upload_id}{_viewable_suffix(wanted.path)}",
@@ -250,6 +251,7 @@ def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
 
 
 def _answer(
+    site: Site,
     actor: Actor,
     decision: Decision,
     rows: Mapping[uuid.UUID, Row[Any]],
@@ -259,7 +261,8 @@ def _answer(
     if decision.error is not None:
         return Refused(path=decision.wanted.path, problem=to_problem(decision.error, actor.request_id))
     if decision.way in {Way.begin, Way.resume} and decision.ref is not None:
-        return Send(upload=read_upload(rows[decision.ref], parts.get(decision.ref, [])))
+        row = rows[decision.ref]
+        return Send(upload=read_upload(row, parts.get(row.id, [])), part=sign_first(site, row, decision.wanted))
     read = reads.get(decision.ref) if decision.ref else None
     if decision.way is Way.present and Scope.read not in actor.scopes:
         return Present(file=read)

@@ -4,20 +4,29 @@ An address is signed for one checksum: what arrives there is what was announced,
 """
 
 import datetime
-from collections.abc import Sequence
+import uuid
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Row, bindparam, func, update
+from sqlalchemy import Row, Update, func, update
 
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, UploadGone
 from kleinkram.contract.events import ChangeKind
-from kleinkram.contract.uploads import CHECKSUM_HEX_DIGITS, ChecksumKind, PartToSign, SignedPart, UploadState
+from kleinkram.contract.uploads import (
+    CHECKSUM_HEX_DIGITS,
+    ChecksumKind,
+    PartToSign,
+    SignedPart,
+    UploadFile,
+    UploadState,
+    part_size_bytes,
+)
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.changes import Notice, tell
-from kleinkram.server.db import among
+from kleinkram.server.sets import given
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
-from kleinkram.server.storage import PartTarget
+from kleinkram.server.storage import PartTarget, Storage
 from kleinkram.server.tables import upload
 from kleinkram.server.uploads import queries
 
@@ -54,18 +63,20 @@ async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) 
         rows = await queries.locked_uploads(db, actor, ids)
         for part in wanted:
             _check_signable(rows.get(part.upload_id), part)
-        await db.execute(update(upload).where(among(upload.c.id, ids)).values(**renewed(site.settings, func.now())))
+        checksums = {p.upload_id: None if is_multipart(rows[p.upload_id]) else p.checksum for p in wanted}
+        await db.execute(_renewal(site.settings, checksums))
         await tell(db, [_progress(row) for row in rows.values() if _is_worth_telling(row, site.settings)])
-        whole = [
-            {"b_id": part.upload_id, "b_checksum": part.checksum}
-            for part in wanted
-            if not is_multipart(rows[part.upload_id]) and rows[part.upload_id].signed_checksum is None
-        ]
-        if whole:
-            statement = update(upload).where(upload.c.id == bindparam("b_id"))
-            await db.execute(statement.values(signed_checksum=bindparam("b_checksum")), whole)
-    expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=site.settings.part_url_s)
+    expires_at = _end(site.settings)
     return [_sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
+
+
+def _renewal(settings: Settings, checksums: Mapping[uuid.UUID, str | None]) -> Update:
+    """Return what renews leases, and writes down what files of one part are signed for."""
+    rows = [{"id": upload_id, "signed_checksum": checksum} for upload_id, checksum in checksums.items()]
+    said = given([upload.c.id, upload.c.signed_checksum], rows)
+    signed_checksum = func.coalesce(upload.c.signed_checksum, said.c.signed_checksum)
+    renewing = update(upload).where(upload.c.id == said.c.id)
+    return renewing.values(**renewed(settings, func.now()), signed_checksum=signed_checksum)
 
 
 def _progress(row: Row[Any]) -> Notice:
@@ -95,6 +106,26 @@ def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
             f"{row.path!r} has {count} parts of {row.part_size_bytes} bytes; part {part.number} is not one of them"
         )
         raise InvalidRequest(problems=[FieldProblem(field="parts.number", message=message)])
+
+
+def first_checksum(storage: Storage, wanted: UploadFile) -> str | None:
+    """Return what the only part of a file is signed for; None where there are more, or its hash was not announced."""
+    if wanted.size_bytes > part_size_bytes(wanted.size_bytes):
+        return None
+    announced = {ChecksumKind.crc64nvme: wanted.crc64nvme, ChecksumKind.sha256: wanted.sha256}
+    return announced.get(storage.checksum)
+
+
+def sign_first(site: Site, row: Row[Any], wanted: UploadFile) -> SignedPart | None:
+    """Return where the only part of a file goes, once the row says that it is signed for what is announced."""
+    checksum = first_checksum(site.storage.proving_by(ChecksumKind(row.checksum)), wanted)
+    if checksum is None or row.signed_checksum != checksum:
+        return None
+    return _sign(site, row, PartToSign(upload_id=row.id, number=1, checksum=checksum), _end(site.settings))
+
+
+def _end(settings: Settings) -> datetime.datetime:
+    return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=settings.part_url_s)
 
 
 def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
