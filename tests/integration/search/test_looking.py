@@ -60,9 +60,12 @@ def test_of_very_many_files_an_estimate_says_that_it_is_one(full: Api, drawn: in
     assert _FILES / 2 < found["files"]["total"] < _FILES * 2
     assert [each["start_ns"] for each in found["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
     assert [each["name"] for each in found["topics"]["items"]] == ["/imu"]
-    facets = full.get("/search/facets", {"query": "drive"}).ok()
-    assert not facets["is_whole"]
-    assert 0 < facets["file_count"] <= drawn
+    for query in ("drive", "", "drive topic:/imu", "project:many*"):
+        facets = full.get("/search/facets", {"query": query}).ok()
+        assert not facets["is_whole"]
+        assert 0 < facets["file_count"] <= drawn
+        (topics,) = (each["values"] for each in facets["facets"] if each["name"] == "topic")
+        assert [(each["value"], each["file_count"]) for each in topics] == [("/imu", facets["file_count"])]
 
 
 def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, drawn: int) -> None:

@@ -4,7 +4,7 @@ One statement for all facets: each filter is looked up once, and no more than `m
 counts is put together once for all requests, as that takes about as long as to count; what finds is each request's.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any
@@ -21,6 +21,7 @@ from sqlalchemy import (
     TableClause,
     Text,
     all_,
+    and_,
     bindparam,
     case,
     cast,
@@ -42,9 +43,9 @@ from kleinkram.contract.query.keys import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import among
-from kleinkram.server.search import choosing
+from kleinkram.server.search import choosing, looking
 from kleinkram.server.search.looking import drawn_files
-from kleinkram.server.search.matching import narrow_files, narrow_topics
+from kleinkram.server.search.matching import file_conditions, narrow_files, narrow_topics
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12
@@ -67,17 +68,21 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
 
 
 def facet_rows(
-    actor: Actor, matching: FileFilter, *, most: int, many: Collection[FileFilter] = ()
+    actor: Actor, matching: FileFilter, *, most: int, many: Sequence[FileFilter] = ()
 ) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 
-    The row of the empty facet holds how many files were looked at. A facet of which something is chosen counts the
-    files that would be found if nothing of it were, so that its numbers say what another choice would find. Of the
-    filters that find `many`, only files drawn by lot are looked at. It is executed with the `parameters` of the filter.
+    The rows of the empty facet hold how many files were looked at: `found` of the filter, and how many there were to be
+    `drawn` where all filters find `many`, of which only files drawn by lot are looked at. A facet of which something is
+    chosen counts the files that would be found if nothing of it were, so that its numbers say what another choice would
+    find. It is executed with the `parameters` of the filter.
     """
+    tried = _tried(actor, many) if len(many) == len(variants(actor, matching)) else None
 
     def found_by(facet: str, name: str) -> CTE:
         each = choosing.without(matching, facet) if facet else matching
+        if tried is not None:
+            return select(*_same(tried)).where(tried.c[f"holds_{many.index(each)}"]).cte(name)
         is_drawn = each in many
         as_drawn = replace(actor, looked=replace(actor.looked, finds_many=is_drawn))
         return _found(as_drawn, each, name, most, is_drawn=is_drawn)
@@ -90,7 +95,8 @@ def facet_rows(
     }
     asked = choosing.fields(matching) if sees_whole_missions(actor) else []
     fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(asked)]
-    counts = _counts(chosen, len(asked), with_metadata=sees_whole_missions(actor))
+    looked_at = ("found",) if tried is None else ("found", "drawn")
+    counts = _counts(chosen, len(asked), looked_at, with_metadata=sees_whole_missions(actor))
     return counts.add_cte(*found.values(), *topics.values(), *fields)
 
 
@@ -98,6 +104,20 @@ def parameters(matching: FileFilter) -> dict[str, object]:
     """Return what the statement of `facet_rows` is executed with: the metadata fields that a filter asks for."""
     asked = choosing.fields(matching)
     return {"asked": asked, **{f"field_{number}": field for number, field in enumerate(asked)}}
+
+
+def _tried(actor: Actor, filters: Sequence[FileFilter]) -> CTE:
+    """Return the files drawn by lot that are seen, and which of some filters each matches: they are read once."""
+    holds = (and_(true(), *file_conditions(actor, each)) for each in filters)
+    columns = (*_columns(), *(each.label(f"holds_{number}") for number, each in enumerate(holds)))
+    seen = visible_files(actor).where(file.c.id.in_(select(drawn_files().c.id)))
+    # With a limit the database tries each once, and not for each of the filters anew.
+    seen = seen.with_only_columns(*columns, maintain_column_froms=True).limit(looking.DRAWN)
+    return seen.cte("tried").prefix_with("MATERIALIZED")
+
+
+def _same(tried: CTE) -> Iterator[ColumnElement[Any]]:
+    return (tried.c[str(each.key)] for each in _columns())
 
 
 def _found(actor: Actor, matching: FileFilter, name: str, most: int, *, is_drawn: bool) -> CTE:
@@ -138,20 +158,21 @@ def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
 
 # As much is kept as people choose in a day; what can be chosen together is a lot more.
 @lru_cache(maxsize=64)
-def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> CompoundSelect[Any]:
+def _counts(
+    chosen: frozenset[str], fields: int, looked_at: Sequence[str], *, with_metadata: bool
+) -> CompoundSelect[Any]:
     """Return what counts, where some facets are chosen and so many metadata fields asked for.
 
     The files that were found, and their topics, it takes to be there under the names that `facet_rows` gives them.
     """
     base = _named("found")
-    looked_at = _row(literal(""), literal(""), func.count(), literal(1, BigInteger)).select_from(base)
     together = [facet for facet in _OF_FILES if facet not in chosen]
     counted = [_by_column(base, together)] if together else []
     counted += [_by_column(_named(f"but_{facet}"), [facet]) for facet in _OF_FILES if facet in chosen]
     counted.append(_by_label(_named("but_label") if "label" in chosen else base))
     topics = _topics_of(chosen)
     counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
-    parts = [looked_at, _top(union_all(*counted).subquery())]
+    parts = [*map(_looked_at, looked_at), _top(union_all(*counted).subquery())]
     if with_metadata:
         parts.append(_fields(base, None))
         parts += [_fields(_named(f"but_{only}"), only) for only in map("field_{}".format, range(fields))]
@@ -160,6 +181,10 @@ def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> Comp
 
 def _named(found: str) -> TableClause:
     return table(found, *(column(str(each.key), each.type) for each in _columns()))
+
+
+def _looked_at(name: str) -> Select[Any]:
+    return _row(literal(""), literal(name), func.count(), literal(1, BigInteger)).select_from(table(name))
 
 
 def _by_column(found: TableClause, facets: Sequence[str]) -> Select[Any]:

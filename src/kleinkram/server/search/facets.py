@@ -15,7 +15,7 @@ from kleinkram.contract.searching import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
-from kleinkram.server.search import choosing
+from kleinkram.server.search import choosing, looking
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
 from kleinkram.server.search.looking import let_join, look_ahead
 from kleinkram.server.search.queries import room_to_count
@@ -33,22 +33,37 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
         InvalidQuery: the query cannot be read; says which word, at which column.
     """
     matching = parse(text)
+    if matching == FileFilter() and (found := await _of_everything(db, actor)):
+        return found
     each = variants(actor, matching)
-    actor, outlook = await look_ahead(db, actor, *each)
+    actor, outlook = await look_ahead(db, actor, *each, FileFilter())
     if actor.looked.finds_nothing:
-        chosen = list(_facets(matching, [], with_metadata=sees_whole_missions(actor)))
-        return FacetsRead(query=render(matching), file_count=0, is_whole=True, facets=chosen)
+        return _to_facets(actor, matching, [], file_count=0, is_whole=True)
     many = [] if outlook is None else [found for number, found in enumerate(each) if outlook.finds_many(number)]
     if outlook is not None and len(many) < len(each):
-        await let_join(db, actor, freely=True)
+        # Who sees few of all files sees few missions: these are best gone through one by one.
+        await let_join(db, actor, freely=outlook.hits[len(each)] >= looking.MANY)
     for most, milliseconds in _ATTEMPTS:
         rows = await _within(db, actor, matching, many, most=most, milliseconds=milliseconds)
         if rows is not None:
-            looked_at = next(row.file_count for row in rows if not row.facet)
-            facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
+            looked_at = _looked_at(rows)["found"]
             is_whole = looked_at < most and matching not in many
-            return FacetsRead(query=render(matching), file_count=looked_at, is_whole=is_whole, facets=facets)
+            return _to_facets(actor, matching, rows, file_count=looked_at, is_whole=is_whole)
     return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
+
+
+async def _of_everything(db: Connection, actor: Actor) -> FacetsRead | None:
+    """Return the facets of all that is seen where that is many files; this is soon known with just these drawn."""
+    if actor.few_mission_ids is not None:
+        return None
+    everything = FileFilter()
+    await let_join(db, actor, freely=False)
+    stmt = facet_rows(actor, everything, most=looking.DRAWN, many=[everything])
+    rows = (await db.execute(stmt, parameters(everything))).all()
+    looked_at = _looked_at(rows)
+    if looked_at["drawn"] < looking.DRAWN or looked_at["found"] < looking.MANY:
+        return None
+    return _to_facets(actor, everything, rows, file_count=looked_at["found"], is_whole=False)
 
 
 async def _within(
@@ -74,6 +89,17 @@ async def _within(
         if isinstance(error.orig, psycopg.errors.QueryCanceled):
             return None
         raise
+
+
+def _to_facets(
+    actor: Actor, matching: FileFilter, rows: Sequence[Row[Any]], *, file_count: int, is_whole: bool
+) -> FacetsRead:
+    facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
+    return FacetsRead(query=render(matching), file_count=file_count, is_whole=is_whole, facets=facets)
+
+
+def _looked_at(rows: Sequence[Row[Any]]) -> dict[str, int]:
+    return {row.value: row.file_count for row in rows if not row.facet}
 
 
 def _facets(matching: FileFilter, rows: Sequence[Row[Any]], *, with_metadata: bool) -> Iterator[Facet]:
