@@ -71,6 +71,21 @@ def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
     _with_readers(work)
 
 
+def test_leaving_waits_for_a_child_that_is_just_retired(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "_IDLE_S", 0)
+
+    async def run() -> None:
+        async with Readers() as readers:
+            await readers.summary(request_bytes(FileRequest(str(recording))), owner=_ADA, timeout_s=20)
+            (reader,) = readers._idle
+            while readers._idle:
+                await asyncio.sleep(0)
+            assert reader.process.returncode is None
+        assert reader.process.returncode is not None
+
+    asyncio.run(run())
+
+
 def test_a_file_that_is_not_there_says_so(recording: Path, tmp_path: Path) -> None:
     async def work(readers: Readers) -> None:
         missing = request_bytes(FileRequest(str(tmp_path / "none.bag")))

@@ -117,6 +117,7 @@ class Readers:
 
     def __init__(self) -> None:
         self._idle: list[_Reader] = []
+        self._ending: set[asyncio.Task[None]] = set()
 
     async def __aenter__(self) -> Self:
         return self
@@ -126,6 +127,7 @@ class Readers:
         for reader in idle:
             await self._recall(reader)
             await reader.end()
+        await asyncio.gather(*self._ending)
 
     async def summary(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> RecordingSummary:
         """Have one recording of `owner` read.
@@ -197,7 +199,9 @@ class Readers:
     async def _retire(self, reader: _Reader) -> None:
         await asyncio.sleep(_IDLE_S)
         self._idle.remove(reader)
-        await asyncio.shield(reader.end())
+        ending = asyncio.create_task(reader.end())
+        self._ending.add(ending)
+        ending.add_done_callback(self._ending.discard)
 
     async def _recall(self, reader: _Reader) -> None:
         if reader.retirement is not None:
