@@ -19,7 +19,7 @@ def may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
         mission_topics.c.mission_id == mission.c.id, mission_topics.c.revision == mission.c.files_revision
     )
     is_full = its_own.offset(MOST_KEPT_TOPICS - 1)
-    return or_(_is_one(its_own.where(*conditions)), ~_is_one(of_now), _is_one(is_full))
+    return or_(_is_there(its_own.where(*conditions)), ~_is_there(of_now), _is_there(is_full))
 
 
 def where_it_may_be(may_be: Sequence[ColumnElement[bool]], found: ColumnElement[bool]) -> ColumnElement[bool]:
@@ -27,6 +27,6 @@ def where_it_may_be(may_be: Sequence[ColumnElement[bool]], found: ColumnElement[
     return case((and_(*may_be), found), else_=false()) if may_be else found
 
 
-def _is_one(found: Select[Any]) -> ColumnElement[bool]:
+def _is_there(found: Select[Any]) -> ColumnElement[bool]:
     # With EXISTS, the database may well go through what is kept of all missions to look at a few.
     return func.coalesce(found.limit(1).correlate(mission).scalar_subquery(), false())
