@@ -3,9 +3,10 @@
 import asyncio
 import uuid
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from procrastinate import PsycopgConnector
+from procrastinate import JobContext, PsycopgConnector
+from procrastinate.worker import Worker
 
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
@@ -24,17 +25,22 @@ T = TypeVar("T")
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"
 
 
-def run_jobs(api: Api, *, store: str | None = None) -> None:
-    """Run every job that waits, and those that they cause; with the store at another address, if one is given."""
+def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
+    """Run every job that waits, and those that they cause; with the store at another address, if one is given.
+
+    Returns the name of each that ran.
+    """
     assert worker.JOB_MODULES
+    ran: list[str] = []
     while api.sql(_DUE) != [(0,)]:
-        on_site(api, _hurry, store=store)
+        ran += on_site(api, _hurry, store=store)
+    return ran
 
 
-async def _hurry(site: Site) -> None:
+async def _hurry(site: Site) -> list[str]:
     courtesy = Courtesy(site.database, site.settings)
     courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
-    await drain(site, courtesy)
+    return await drain(site, courtesy)
 
 
 class _NoRests(Rests):
@@ -44,8 +50,14 @@ class _NoRests(Rests):
         """Note nothing."""
 
 
-async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> None:
-    """Run what waits, as courteous as it is given."""
+async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> list[str]:
+    """Run what waits, as courteous as it is given; returns the name of each job."""
+    ran: list[str] = []
+
+    async def note(call_next: Callable[[], Awaitable[Any]], context: JobContext, _worker: Worker) -> Any:
+        ran.append(context.job.task_name)
+        return await call_next()
+
     connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
         async with app.open_async(), Readers() as readers:
@@ -54,7 +66,7 @@ async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> N
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
-                worker_middleware=[keep_why],
+                worker_middleware=[keep_why, note],
                 additional_context={
                     "site": site,
                     "readers": readers,
@@ -63,6 +75,7 @@ async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> N
                     "rests": rests or _NoRests(),
                 },
             )
+    return ran
 
 
 def on_site(api: Api, work: Callable[[Site], Awaitable[T]], *, store: str | None = None) -> T:

@@ -8,10 +8,11 @@ import pytest
 
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.queries import SMALL_BYTES
 from tests.integration import uploading
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.running import Api
-from tests.integration.uploading import begin, fetch, upload
+from tests.integration.uploading import begin, fetch, upload, upload_all
 
 Generate = Callable[..., Any]
 
@@ -49,6 +50,30 @@ def test_a_recording_is_summarised_and_proven(
     assert mission["recordings_current"] is True
     recordings = api.all(f"/missions/{mission_id}/recordings")
     assert [(each["name"], each["kind"]) for each in recordings] == [(name, "single")]
+
+
+def test_many_small_files_are_examined_by_few_jobs(api: Api, mission_id: str, tmp_path: Any) -> None:
+    generate_mcap(tmp_path / "run.mcap", size_bytes=80_000, seed=7)
+    recording = (tmp_path / "run.mcap").read_bytes()
+    assert len(recording) <= SMALL_BYTES
+    bodies = {f"{number}.bin": os.urandom(100) for number in range(20)}
+    files = upload_all(api, mission_id, {**bodies, "run.mcap": recording, "bad.bin": b"bad", "gone.bin": b"gone"})
+    (_, bad), (_, gone) = (_blob(api, files[path]["id"]) for path in ("bad.bin", "gone.bin"))
+    on_site(api, lambda site: site.storage.put_small(bad, b"dab"))
+    on_site(api, lambda site: site.storage.delete(gone))
+    waiting = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'examine_blob' AND status = 'todo'"
+    assert api.sql(waiting) == [(23,)]
+    ran = run_jobs(api)
+    assert 3 <= ran.count("examine_blob") <= 12, "what is damaged is told by a job of its own, as far as it is one"
+    assert "prove_blob" not in ran
+    found = {each["path"]: each for each in api.all("/files", {"mission_id": mission_id})}
+    states = {path: (each["state"], each["content"]) for path, each in found.items()}
+    damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("proven", "indexed")}
+    assert states == dict.fromkeys(bodies, ("proven", "opaque")) | damaged
+    assert found["run.mcap"]["depth"] == "scan"
+    topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
+    assert sum(topic["count"] for topic in topics) == found["run.mcap"]["message_count"] > 0
+    assert found["0.bin"]["md5"] == uploading.checksum("md5", bodies["0.bin"])
 
 
 def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path: Any) -> None:
@@ -157,8 +182,13 @@ def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
     assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "send"
 
 
-def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(api: Api, mission_id: str) -> None:
-    file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(30))
+@pytest.mark.parametrize(
+    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"prove_blob", "summarise_blob"})]
+)
+def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
+    api: Api, mission_id: str, size_bytes: int, wanted: set[str]
+) -> None:
+    file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(size_bytes))
     api.sql("DELETE FROM procrastinate_jobs")
     on_site(api, sweep_once)
     assert api.sql("SELECT count(*) FROM procrastinate_jobs WHERE task_name <> 'group_recordings'") == [(0,)], (
@@ -168,7 +198,7 @@ def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(api: Api
     on_site(api, sweep_once)
     on_site(api, sweep_once)  # a second round asks for nothing twice
     jobs = api.sql("SELECT task_name, args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo'")
-    assert {job for job, _ in jobs} == {"group_recordings", "prove_blob", "summarise_blob"}
+    assert {job for job, _ in jobs} == {"group_recordings", *wanted}
     assert len(jobs) == len(set(jobs))
     run_jobs(api)
     assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"

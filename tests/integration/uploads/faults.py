@@ -198,7 +198,7 @@ FAULTS = [
     ),
     Fault(
         "what was proven again is still said to be lost",
-        service.keep_proof,
+        service.keep_proofs,
         '"state": BlobState.proven.value, "state_reason"',
         '"state_reason"',
         "_see_what_is_told",

@@ -1,7 +1,13 @@
-"""Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted."""
+"""Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted.
+
+A small blob is read once, whole, for both; many are read one after the other and kept together, since of ten thousand
+small files each would cost a hundred times what reading it does.
+"""
 
 import logging
+import time
 import uuid
+from collections.abc import Mapping
 
 from procrastinate import JobContext
 from sqlalchemy import Row
@@ -42,6 +48,10 @@ _OLD_PROOFS = 500
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
 # Slower than any machine that we know reads the slowest format.
 _SCAN_BYTES_PER_S = 5_000_000
+# So many small blobs are looked for, and for so long they are read, before what was found is kept.
+_TAKEN_ALONG, _AT_ONCE_S = 100, 2.0
+# What reading a blob through found, and what whoever read along says that it holds.
+_Read = tuple[Found, RecordingSummary | SummaryFailed | None]
 
 
 @queue.task(name=Job.summarise_blob.value, retry=PATIENTLY, pass_context=True)
@@ -105,25 +115,85 @@ async def prove_blob(context: JobContext, ref: str) -> None:
     # What is only proven anew gives way from now on, whenever it came.
     anew = context.job.priority < Urgency.whenever
     await courtesy_of(context).give_way(PROOF_PATIENCE_S, since=None if anew else row.created_at)
+    read = await _read_or_damaged(context, site, row)
+    if read is None:
+        return
+    found, scan = read
+    # The proof last: until then a recording that only it reads counts as one that will be read.
+    await _keep_scan(site, blob_id, scan)
+    async with site.database.begin() as db:
+        await service.keep_proofs(db, {blob_id: found.md5})
+
+
+@queue.task(name=Job.examine_blob.value, retry=PATIENTLY, pass_context=True)
+async def examine_blob(context: JobContext, ref: str) -> None:
+    """Read a small blob for all that is to be known of it, and with it others of the same person that wait."""
+    site = site_of(context)
+    blob_id = uuid.UUID(ref)
+    async with site.database.begin() as db:
+        row = await service.get_blob(db, blob_id)
+    if row is None or row.store_id != site.settings.store_id:
+        return
+    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
+    until = time.monotonic() + _AT_ONCE_S
+    read = await _read_or_damaged(context, site, row)
+    if read is None:
+        async with site.database.begin() as db:
+            await service.keep_failure(db, blob_id, "its bytes are damaged or gone")
+        return
+    done = {blob_id: read}
+    async with site.database.begin() as db:
+        others = await service.taken_along(db, row, most=_TAKEN_ALONG)
+    for other in others:
+        if time.monotonic() > until:
+            break
+        try:
+            read = await _read(site, given(context, "readers", Readers), other)
+        except FileNotFoundError:
+            continue  # its own job will say so, as of those that were altered
+        except StoreUnavailable:
+            break
+        if read[0].differs_from(other) is None:
+            done[other.id] = read
+    await _keep_examined(site, done)
+
+
+async def _keep_examined(site: Site, done: Mapping[uuid.UUID, _Read]) -> None:
+    summaries = {blob_id: scan for blob_id, (_, scan) in done.items() if isinstance(scan, RecordingSummary)}
+    md5s = {blob_id: found.md5 for blob_id, (found, scan) in done.items() if not isinstance(scan, SummaryFailed)}
+    try:
+        async with site.database.begin() as db:
+            await service.keep_examined(db, summaries, md5s)
+    except (DataError, IntegrityError):  # one of them says what no column holds
+        summaries, md5s = {}, {}
+    for blob_id, (found, scan) in done.items():
+        if blob_id not in md5s:
+            await _keep_scan(site, blob_id, scan)
+            async with site.database.begin() as db:
+                await service.keep_examined(db, {}, {blob_id: found.md5})
+
+
+async def _read_or_damaged(context: JobContext, site: Site, row: Row[tuple[object, ...]]) -> _Read | None:
+    """Read a blob through, or keep that it is lost or corrupt and return None.
+
+    Raises:
+        StoreUnavailable: the store is away, or does not give it now: to be tried again.
+    """
     try:
         found, scan = await _read(site, given(context, "readers", Readers), row)
     except FileNotFoundError:
-        await _keep_damage(site, blob_id, BlobState.lost, "the store no longer has the object")
-        return
+        await _keep_damage(site, row.id, BlobState.lost, "the store no longer has the object")
+        return None
     except StoreUnavailable as error:
         await site.storage.check()  # raises when the store is away: then the blob is not to blame
         if context.job.attempts < ATTEMPTS - 1:
             raise
-        await _keep_damage(site, blob_id, BlobState.corrupt, f"the store cannot read it back ({error.reason})")
-        return
-    difference = found.differs_from(row)
-    if difference:
-        await _keep_damage(site, blob_id, BlobState.corrupt, difference)
-        return
-    # The proof last: until then a recording that only it reads counts as one that will be read.
-    await _keep_scan(site, blob_id, scan)
-    async with site.database.begin() as db:
-        await service.keep_proof(db, blob_id, md5=found.md5)
+        await _keep_damage(site, row.id, BlobState.corrupt, f"the store cannot read it back ({error.reason})")
+        return None
+    if difference := found.differs_from(row):
+        await _keep_damage(site, row.id, BlobState.corrupt, difference)
+        return None
+    return found, scan
 
 
 async def _keep_scan(site: Site, blob_id: uuid.UUID, scan: RecordingSummary | SummaryFailed | None) -> None:
@@ -135,9 +205,7 @@ async def _keep_scan(site: Site, blob_id: uuid.UUID, scan: RecordingSummary | Su
             await service.keep_failure(db, blob_id, str(scan))
 
 
-async def _read(
-    site: Site, readers: Readers, row: Row[tuple[object, ...]]
-) -> tuple[Found, RecordingSummary | SummaryFailed | None]:
+async def _read(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -> _Read:
     """Read a blob through. What reading along failed at is no reason to doubt the bytes."""
     if row.path is None or row.content == ContentState.opaque or row.depth == ReadDepth.scan:
         return await read_through(site, row.key), None

@@ -2,22 +2,36 @@
 
 import datetime
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal, or_, select, text
 
 from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.server.db import among
 from kleinkram.server.tables import blob, file, log_segment, run, run_artifact, run_input, upload
 from kleinkram.server.tables.run import ACTIVE
 
+# Read whole and at once, many after one another: what is in it and its proof are then one thing to do.
+SMALL_BYTES = 100_000
 
-def blob_with_path(blob_id: uuid.UUID) -> Select[Any]:
-    """Return a blob that is not doomed, with the path of its oldest file (null where all are swept)."""
+
+def blobs_with_path(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
+    """Return those blobs that are not doomed, each with the path of its oldest file (null where all are swept)."""
     path = (
         select(file.c.path).where(file.c.blob_id == blob.c.id).order_by(file.c.created_at, file.c.id).limit(1)
     ).scalar_subquery()
-    return select(blob, path.label("path")).where(blob.c.id == blob_id, blob.c.doomed_at.is_(None))
+    return select(blob, path.label("path")).where(among(blob.c.id, blob_ids), blob.c.doomed_at.is_(None))
+
+
+def small_among(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
+    """Return ids of the small ones among some blobs."""
+    return select(blob.c.id).where(among(blob.c.id, blob_ids), is_small())
+
+
+def is_small() -> ColumnElement[bool]:
+    """Say of a blob whether it is read whole at once."""
+    return blob.c.size_bytes <= SMALL_BYTES
 
 
 def is_referred() -> ColumnElement[bool]:
@@ -30,18 +44,18 @@ def is_referred() -> ColumnElement[bool]:
     return or_(exists().where(file.c.blob_id == blob.c.id), left, written, given)
 
 
-def unread() -> Select[Any]:
-    """Return ids of blobs that nobody summarised for ten minutes, or that we failed to read a day ago."""
+def unread() -> ColumnElement[bool]:
+    """Say of a blob that nobody summarised it for ten minutes, or that we failed to read it a day ago."""
     late = blob.c.summarised_at.is_(None) & (blob.c.created_at < func.now() - text("interval '10 minutes'"))
     failed = blob.c.content == ContentState.error.value
     again = failed & (blob.c.summarised_at < func.now() - text("interval '1 day'"))
-    return select(blob.c.id).where(blob.c.doomed_at.is_(None), late | again)
+    return late | again
 
 
-def unproven() -> Select[Any]:
-    """Return ids of blobs that nobody has proven for ten minutes."""
+def unproven() -> ColumnElement[bool]:
+    """Say of a blob that nobody has proven it for ten minutes."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
-    return select(blob.c.id).where(blob.c.doomed_at.is_(None), blob.c.state == BlobState.stored.value, late)
+    return (blob.c.state == BlobState.stored.value) & late
 
 
 # How many old proofs wait to be made anew.

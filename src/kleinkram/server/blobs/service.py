@@ -3,11 +3,11 @@
 import datetime
 import math
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import Row, delete, func, insert, select, update
+from sqlalchemy import Row, bindparam, delete, func, insert, select, update
 
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
@@ -17,20 +17,24 @@ from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.changes import Notice, tell
-from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, hasten
+from kleinkram.server.db import Connection, among
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, hasten, settle, waiting
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
+from kleinkram.server.sets import given
 from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
 
 
 async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
-    """See to it that new blobs are summarised soon and proven in time."""
-    ids = [str(each) for each in blob_ids]
-    await enqueue(db, Job.summarise_blob, ids=ids, urgency=Urgency.soon)
-    await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.whenever)
+    """See to it that new blobs are summarised soon and proven in time: small ones at once, by a single job."""
+    is_small = set((await db.execute(queries.small_among(blob_ids))).scalars())
+    small = [str(each) for each in blob_ids if each in is_small]
+    large = [str(each) for each in blob_ids if each not in is_small]
+    await enqueue(db, Job.examine_blob, ids=small, urgency=Urgency.soon)
+    await enqueue(db, Job.summarise_blob, ids=large, urgency=Urgency.soon)
+    await enqueue(db, Job.prove_blob, ids=large, urgency=Urgency.whenever)
 
 
 async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> None:
@@ -38,9 +42,13 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
 
     What we failed to read is tried again once a day.
     """
-    for job, wanting in ((Job.summarise_blob, queries.unread()), (Job.prove_blob, queries.unproven())):
+    small = queries.is_small()
+    by_itself = [(Job.summarise_blob, queries.unread()), (Job.prove_blob, queries.unproven())]
+    wanted = [(Job.examine_blob, wanting & small) for _, wanting in by_itself]
+    for job, wanting in wanted + [(job, wanting & ~small) for job, wanting in by_itself]:
         statement = (
-            wanting.where(blob.c.store_id == store_id, ~has_job(job, blob.c.id))
+            select(blob.c.id)
+            .where(blob.c.doomed_at.is_(None), wanting, blob.c.store_id == store_id, ~has_job(job, blob.c.id))
             .order_by(blob.c.created_at)
             .limit(limit)
         )
@@ -76,24 +84,48 @@ async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
 
 async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
     """Return a blob that is still there and not about to go, with the path of one of its files."""
-    return (await db.execute(queries.blob_with_path(blob_id))).one_or_none()
+    return (await db.execute(queries.blobs_with_path([blob_id]))).one_or_none()
+
+
+async def taken_along(db: Connection, row: Row[Any], *, most: int) -> Sequence[Row[Any]]:
+    """Return small blobs that wait to be examined as this one did, of the same person and store, as `get_blob` does."""
+    ids = await waiting(db, Job.examine_blob, most=most)
+    alike = (blob.c.uploaded_by_id == row.uploaded_by_id, blob.c.store_id == row.store_id, blob.c.id != row.id)
+    return (await db.execute(queries.blobs_with_path(ids).where(*alike))).all()
 
 
 async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
     """Keep what reading a blob said, in place of what was known before. What a scan said stays."""
-    await _hold_missions(db, blob_id)
-    locked = select(blob.c.depth).where(blob.c.id == blob_id).with_for_update()
-    known = (await db.execute(locked)).scalar_one_or_none()
-    if known == ReadDepth.scan.value and summary.depth.value != known:
+    await keep_summaries(db, {blob_id: summary})
+
+
+async def keep_summaries(db: Connection, summaries: Mapping[uuid.UUID, RecordingSummary]) -> None:
+    """Do as `keep_summary` for several blobs."""
+    if not summaries:
         return
-    await db.execute(delete(topic).where(topic.c.blob_id == blob_id))
-    rows = [_topic_values(blob_id, each) for each in summary.topics]
+    await _hold_missions(db, summaries)
+    locked = select(blob.c.id, blob.c.depth).where(among(blob.c.id, summaries)).order_by(blob.c.id).with_for_update()
+    known = {row.id: row.depth for row in await db.execute(locked)}
+    is_news = {
+        each: depth != ReadDepth.scan.value or summaries[each].depth.value == depth for each, depth in known.items()
+    }
+    news = {each: summaries[each] for each in known if is_news[each]}
+    if not news:
+        return
+    await db.execute(delete(topic).where(among(topic.c.blob_id, news)))
+    rows = [_topic_values(blob_id, each) for blob_id, summary in news.items() for each in summary.topics]
     if rows:
         await db.execute(insert(topic), rows)
+    kept = update(blob).where(blob.c.id == bindparam("blob_id")).values(summarised_at=func.now())
+    await db.execute(kept, [{"blob_id": blob_id, **_values(summary)} for blob_id, summary in news.items()])
+    await _regroup_missions(db, news)
+
+
+def _values(summary: RecordingSummary) -> dict[str, object]:
     start_ns, end_ns = summary.start_ns, summary.end_ns
     if _bigint(start_ns) is None or _bigint(end_ns) is None:
         start_ns = end_ns = None  # half a span is none
-    values = {
+    return {
         "content": summary.content.value,
         "content_reason": fit(summary.reason),
         "format": summary.format.value,
@@ -105,10 +137,7 @@ async def keep_summary(db: Connection, blob_id: uuid.UUID, summary: RecordingSum
         "depth": summary.depth.value,
         "lost": summary.lost and asdict(summary.lost),
         "facts": [{key: _fitting(value) for key, value in asdict(each).items()} for each in summary.facts],
-        "summarised_at": func.now(),
     }
-    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values))
-    await _regroup_missions(db, blob_id)
 
 
 def _fitting(value: str | int | float) -> str | int | float:
@@ -135,42 +164,55 @@ def _bigint(value: int | None) -> int | None:
 async def keep_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
     """Keep that we failed to read a blob, and why; what was read of it before stays."""
     values = {"content": ContentState.error.value, "content_reason": fit(reason), "summarised_at": func.now()}
-    await _hold_missions(db, blob_id)
+    await _hold_missions(db, [blob_id])
     unknown = blob.c.content.in_((ContentState.pending.value, ContentState.error.value))
     await db.execute(update(blob).where(blob.c.id == blob_id, unknown).values(**values))
-    await _regroup_missions(db, blob_id)
+    await _regroup_missions(db, [blob_id])
 
 
-async def _hold_missions(db: Connection, blob_id: uuid.UUID) -> None:
-    # Before the blob's own lock: the order in which linking takes them.
-    await lock_missions(db, await _missions_of(db, blob_id))
+async def _hold_missions(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
+    # Before the blobs' own locks: the order in which linking takes them.
+    await lock_missions(db, await _missions_of(db, blob_ids))
 
 
-async def _regroup_missions(db: Connection, blob_id: uuid.UUID) -> None:
-    for mission_id in await _missions_of(db, blob_id):
+async def _regroup_missions(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
+    for mission_id in await _missions_of(db, blob_ids):
         await regroup(db, mission_id)
-    await _tell_of_files(db, blob_id)
+    await _tell_of_files(db, blob_ids)
 
 
-async def _tell_of_files(db: Connection, blob_id: uuid.UUID) -> None:
-    made_of = select(file.c.id, file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None))
+async def _tell_of_files(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
+    made_of = select(file.c.id, file.c.mission_id).where(among(file.c.blob_id, blob_ids), file.c.deleted_at.is_(None))
     rows = await db.execute(made_of)
     await tell(db, [Notice("file", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
 
 
-async def _missions_of(db: Connection, blob_id: uuid.UUID) -> list[uuid.UUID]:
-    holding = select(file.c.mission_id).where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None)).distinct()
-    return sorted((await db.execute(holding)).scalars())
+async def _missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> list[uuid.UUID]:
+    holding = select(file.c.mission_id).where(among(file.c.blob_id, blob_ids), file.c.deleted_at.is_(None))
+    return sorted((await db.execute(holding.distinct())).scalars())
 
 
-async def keep_proof(db: Connection, blob_id: uuid.UUID, *, md5: bytes) -> None:
-    """Keep that the server itself has read a blob and found its SHA-256. One that was lost or corrupt is so no more."""
-    healed = await _damaged_before(db, blob_id)
-    values = {"state": BlobState.proven.value, "state_reason": None, "damaged_at": None, "md5": md5}
-    await db.execute(update(blob).where(blob.c.id == blob_id).values(**values, proven_at=func.now()))
-    if healed is not None:
-        await _record_of_files(db, blob_id, "file.heal", {"state": healed}, {"state": BlobState.proven.value})
-    await _tell_of_files(db, blob_id)
+async def keep_proofs(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> None:
+    """Keep that the server itself has read blobs, with the MD5 of each, and found their SHA-256.
+
+    One that was lost or corrupt is so no more.
+    """
+    healed = await _damaged_before(db, md5s)
+    said = given([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
+    values = {"state": BlobState.proven.value, "state_reason": None, "damaged_at": None, "md5": said.c.md5}
+    await db.execute(update(blob).where(blob.c.id == said.c.id).values(**values, proven_at=func.now()))
+    for blob_id, before in healed.items():
+        await _record_of_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.proven.value})
+    await _tell_of_files(db, md5s)
+
+
+async def keep_examined(
+    db: Connection, summaries: Mapping[uuid.UUID, RecordingSummary], md5s: Mapping[uuid.UUID, bytes]
+) -> None:
+    """Keep what several small blobs hold, and their proofs: no job needs to examine any of them any more."""
+    await keep_summaries(db, summaries)
+    await keep_proofs(db, md5s)
+    await settle(db, Job.examine_blob, md5s)
 
 
 async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> bool:
@@ -178,23 +220,21 @@ async def keep_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, r
 
     Nothing is kept of a blob that is about to go: its object may be gone already.
     """
-    before = await _damaged_before(db, blob_id)
+    before = (await _damaged_before(db, [blob_id])).get(blob_id)
     said = {"state": state.value, "state_reason": reason}
     values = {**said, "damaged_at": func.coalesce(blob.c.damaged_at, func.now())}
     marked = update(blob).where(blob.c.id == blob_id, blob.c.doomed_at.is_(None)).values(**values)
     if (await db.execute(marked)).rowcount == 0 or before == state.value:
         return False
     await _record_of_files(db, blob_id, "file.damage", {}, {"state": state.value, "reason": reason})
-    await _tell_of_files(db, blob_id)
+    await _tell_of_files(db, [blob_id])
     return True
 
 
-async def _damaged_before(db: Connection, blob_id: uuid.UUID) -> str | None:
+async def _damaged_before(db: Connection, blob_ids: Iterable[uuid.UUID]) -> dict[uuid.UUID, str]:
     damaged = blob.c.state.in_((BlobState.lost.value, BlobState.corrupt.value))
-    found: str | None = (
-        await db.execute(select(blob.c.state).where(blob.c.id == blob_id, damaged).with_for_update())
-    ).scalar_one_or_none()
-    return found
+    found = select(blob.c.id, blob.c.state).where(among(blob.c.id, blob_ids), damaged)
+    return {row.id: row.state for row in await db.execute(found.order_by(blob.c.id).with_for_update())}
 
 
 async def _record_of_files(

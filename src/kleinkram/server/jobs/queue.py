@@ -3,7 +3,7 @@
 import datetime
 import enum
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from procrastinate import App, PsycopgConnector
 from sqlalchemy import ColumnElement, Text, cast, column, exists, literal, select, table, text
@@ -16,6 +16,7 @@ class Job(str, enum.Enum):
 
     summarise_blob = "summarise_blob"
     prove_blob = "prove_blob"
+    examine_blob = "examine_blob"
     group_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
     tend_runs = "tend_runs"
@@ -31,12 +32,14 @@ class Urgency(enum.IntEnum):
     soon = 10
 
 
-# Proving reads everything once, and grouping waits for uploads to end: each has a lane of its own, so that no summary
-# waits behind them. (A lock would do for grouping, but one mission that is tried again later would hold up all others.)
+# Proving reads everything once, small files come by the thousand, and grouping waits for uploads to end: each has a
+# lane of its own, so that no summary waits behind them. (A lock would do for grouping, but one mission that is tried
+# again later would hold up all others.)
 PROVING = "proving"
+EXAMINING = "examining"
 GROUPING = "grouping"
 DEFAULT = "default"
-_LANES = {Job.prove_blob: PROVING, Job.group_recordings: GROUPING}
+_LANES = {Job.prove_blob: PROVING, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
 
 # The worker gives it a connector of its own; the API enqueues over its own transactions.
 queue = App(connector=PsycopgConnector())
@@ -67,6 +70,27 @@ async def enqueue(
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
     """Put the job for one id, if it waits, before those that nobody waits for."""
     await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
+
+
+# By lot, so that two workers seldom take along the same.
+_WAITING = text(
+    "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo'"
+    " AND coalesce(scheduled_at, now()) <= now() ORDER BY random() LIMIT :most"
+)
+_SETTLED = text(
+    "DELETE FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = ANY(:refs)"
+)
+
+
+async def waiting(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]:
+    """Return ids for which a job waits that could begin now: some of them."""
+    found = await db.execute(_WAITING, {"task": job.value, "most": most})
+    return [uuid.UUID(ref) for ref in found.scalars()]
+
+
+async def settle(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
+    """Drop jobs that wait, since the caller's transaction does what they were for."""
+    await db.execute(_SETTLED, {"task": job.value, "refs": [str(each) for each in ids]})
 
 
 _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id")

@@ -17,7 +17,7 @@ from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
-from kleinkram.server.jobs.queue import DEFAULT, GROUPING, PROVING, queue
+from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, PROVING, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
@@ -45,7 +45,7 @@ async def run_worker(settings: Settings) -> None:
 
 
 async def _open_and_run(settings: Settings) -> None:
-    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=7)
+    connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8)
     # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
     with queue.replace_connector(connector) as app:
         await _run(app, settings)
@@ -66,6 +66,7 @@ async def _run(app: App, settings: Settings) -> None:
         tasks = [
             asyncio.create_task(_work(app, given, lane=DEFAULT, at_once=_AT_ONCE)),
             asyncio.create_task(_work(app, given, lane=PROVING, at_once=1)),
+            asyncio.create_task(_work(app, given, lane=EXAMINING, at_once=1)),
             asyncio.create_task(_work(app, given, lane=GROUPING, at_once=1)),
             asyncio.create_task(_rescue_stalled(app)),
         ]

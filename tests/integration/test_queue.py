@@ -1,0 +1,34 @@
+"""The queue in PostgreSQL, as long as it gets."""
+
+from typing import Any
+
+from tests.integration.running import Api
+
+_WAITING = 3000
+_NEXT = "SELECT id FROM procrastinate_fetch_job_v2(ARRAY['long'], NULL)"
+_READ = (
+    "SELECT pg_stat_force_next_flush(), pg_stat_get_tuples_returned(oid) FROM pg_class"
+    " WHERE relname = 'procrastinate_jobs'"
+)
+
+
+def test_the_next_of_many_jobs_is_found_without_looking_at_all_for_each(start_api: Any) -> None:
+    api: Api = start_api()
+    # A plan is kept after some times, and a queue is empty most of the time: also when PostgreSQL counts its rows.
+    api.sql("INSERT INTO procrastinate_jobs (queue_name, task_name) VALUES ('long', 'none')")
+    api.sql("DELETE FROM procrastinate_jobs")
+    api.sql("VACUUM (ANALYZE) procrastinate_jobs")
+    for _ in range(10):
+        assert api.sql(_NEXT) == [(None,)]
+    api.sql(
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args)"
+        " SELECT 'long', 'prove_blob', 'todo', jsonb_build_object('ref', n) FROM generate_series(1, %s) n",
+        _WAITING,
+    )
+    api.sql(_READ)
+    before = api.sql(_READ)[0][1]
+    found = [api.sql(_NEXT)[0][0] for _ in range(5)]
+    assert found == sorted(found)
+    assert None not in found
+    api.sql(_READ)
+    assert api.sql(_READ)[0][1] - before < 5 * 3 * _WAITING, "rows of the queue read for five jobs"
