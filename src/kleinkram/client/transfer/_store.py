@@ -4,17 +4,17 @@ Knows nothing of uploads or files. One pool of connections, shared by the thread
 """
 
 import enum
+import http.client
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import urllib3
 
 from kleinkram.client._http import reason_of
 from kleinkram.client._retry import Backoff
-from kleinkram.client.transfer._connections import open_connections
+from kleinkram.client.transfer._connections import Connections
 from kleinkram.client.transfer._source import FileSlice
 
 PATIENCE_S = 240.0
@@ -74,11 +74,11 @@ class StoreDoor:
     """Connections to the store."""
 
     def __init__(self, connections: int) -> None:
-        self._pool = open_connections(connections)
+        self._connections = Connections(connections)
 
     def close(self) -> None:
         """Close the connections."""
-        self._pool.clear()
+        self._connections.clear()
 
     def put(
         self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[FileSlice | bytes]
@@ -86,20 +86,20 @@ class StoreDoor:
         """PUT so many bytes, sent as they come from `body`."""
         headers = {**headers, "Content-Length": str(size_bytes)}
         try:
-            answer = self._pool.request("PUT", url, body=cast("Iterable[bytes]", body), headers=headers, redirect=False)
-        except urllib3.exceptions.HTTPError as error:
+            reply = self._connections.put(url, headers, body)
+        except (urllib3.exceptions.HTTPError, http.client.HTTPException, OSError) as error:
             return PutAnswer(Answer.try_again, error=error)
         # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
-        if answer.status < 300 or answer.status == 412:
-            return PutAnswer(Answer.taken, etag=answer.headers.get("ETag", "").strip('"'))
-        code = _code(answer.data)
-        return PutAnswer(meaning(answer.status, code), reason=_reason(answer.status, code))
+        if reply.status < 300 or reply.status == 412:
+            return PutAnswer(Answer.taken, etag=reply.etag.strip('"'))
+        code = _code(reply.content)
+        return PutAnswer(meaning(reply.status, code), reason=_reason(reply.status, code))
 
     def get(self, url: str, first: int, last: int, slice_bytes: int) -> "GetAnswer":
         """GET the bytes first..last, both inclusive; the answer must be closed."""
         headers = {"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}
         try:
-            answer = self._pool.request(
+            answer = self._connections.request(
                 "GET", url, headers=headers, redirect=False, preload_content=False, decode_content=False
             )
         except urllib3.exceptions.HTTPError as error:
