@@ -52,7 +52,9 @@ def test_a_recording_is_summarised_and_proven(
     assert [(each["name"], each["kind"]) for each in recordings] == [(name, "single")]
 
 
-def test_many_small_files_are_examined_by_few_jobs(api: Api, mission_id: str, tmp_path: Any) -> None:
+def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any) -> None:
+    api: Api = start_api()
+    mission_id = api.mission(api.project()["id"])["id"]
     generate_mcap(tmp_path / "run.mcap", size_bytes=80_000, seed=7)
     recording = (tmp_path / "run.mcap").read_bytes()
     assert len(recording) <= SMALL_BYTES

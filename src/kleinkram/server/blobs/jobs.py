@@ -48,8 +48,9 @@ _OLD_PROOFS = 500
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
 # Slower than any machine that we know reads the slowest format.
 _SCAN_BYTES_PER_S = 5_000_000
-# So many small blobs are looked for, and for so long they are read, before what was found is kept.
-_TAKEN_ALONG, _AT_ONCE_S = 100, 2.0
+# So many small blobs are looked for, and for so long they are read, before what was found is kept; while uploads come
+# in, a few.
+_TAKEN_ALONG, _AT_ONCE_S, _TURN_S = 100, 2.0, 0.02
 # What reading a blob through found, and what whoever read along says that it holds.
 _Read = tuple[Found, RecordingSummary | SummaryFailed | None]
 
@@ -134,8 +135,8 @@ async def examine_blob(context: JobContext, ref: str) -> None:
         row = await service.get_blob(db, blob_id)
     if row is None or row.store_id != site.settings.store_id:
         return
-    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
-    until = time.monotonic() + _AT_ONCE_S
+    is_turn = await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
+    until = time.monotonic() + (_TURN_S if is_turn else _AT_ONCE_S)
     read = await _read_or_damaged(context, site, row)
     if read is None:
         async with site.database.begin() as db:

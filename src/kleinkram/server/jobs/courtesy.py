@@ -39,19 +39,23 @@ class Courtesy:
         active = (upload.c.state == UploadState.open.value) & (upload.c.expires_at > recent)
         self._look = select(func.now().label("now"), exists().where(active).label("is_busy"))
 
-    async def give_way(self, patience_s: float, *, since: datetime.datetime | None = None) -> None:
-        """Wait until no upload is sent, or until `patience_s` after `since` (by default: after now) and for a turn."""
+    async def give_way(self, patience_s: float, *, since: datetime.datetime | None = None) -> bool:
+        """Wait until no upload is sent, or until `patience_s` after `since` (by default: after now) and for a turn.
+
+        Returns True for a turn: uploads still come in, so that it is to be short.
+        """
         while not self._ended.is_set():
             async with self._database.autocommit() as db:
                 seen = (await db.execute(self._look)).one()
             since = since or seen.now
             left_s = patience_s - (seen.now - since).total_seconds()
             if not seen.is_busy:
-                return
+                return False
             if left_s <= 0:
                 await self._wait(self._until_turn_s())
-                return
+                return True
             await self._wait(min(left_s, _LOOK_S))
+        return False
 
     def _until_turn_s(self) -> float:
         """Take the next turn, and return how far off it is."""
