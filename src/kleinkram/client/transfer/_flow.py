@@ -60,6 +60,7 @@ class Channel(Generic[T]):
     def __init__(self, stop: Stop) -> None:
         self._stop = stop
         self._items: deque[T] = deque()
+        self._wanted = 1
         self._changed = stop.condition()
 
     def put(self, item: T) -> None:
@@ -67,21 +68,25 @@ class Channel(Generic[T]):
         self._stop.check()
         with self._changed:
             self._items.append(item)
-            self._changed.notify()
+            if len(self._items) >= self._wanted:  # to wake a thread that waits for more costs more than all else here
+                self._changed.notify()
 
-    def take(self, at_most: int, timeout_s: float | None = None) -> list[T]:
-        """Return what is there, waiting for a first thing; [] on timeout.
+    def take(self, at_most: int, timeout_s: float | None = None, *, at_least: int = 1) -> list[T]:
+        """Return what is there, waiting until it is `at_least` so much; on timeout what there is.
+
+        More than one thing only one thread at a time may wait for.
 
         Raises:
             Stopped: it is over.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
-            while not self._items:
+            self._wanted = at_least
+            while len(self._items) < at_least:
                 self._stop.check()
                 left = None if deadline is None else deadline - time.monotonic()
                 if left is not None and left <= 0:
-                    return []
+                    break
                 self._changed.wait(left)
             self._stop.check()
             return [self._items.popleft() for _ in range(min(at_most, len(self._items)))]
@@ -123,7 +128,8 @@ class Budget:
         """Give `amount` back."""
         with self._changed:
             self._used -= amount
-            self._changed.notify_all()
+            if self._used <= self._limit // 2:  # before, nobody who waits could go on
+                self._changed.notify_all()
 
     def wait_until_free(self) -> None:
         """Wait until nothing is under way.

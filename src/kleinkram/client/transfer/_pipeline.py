@@ -265,11 +265,11 @@ class Pipeline:
         """Wait for files that are all sent: for a good number of them, as long as others are on their way."""
         sent = self._to_finish.take(_AT_ONCE)
         gathers_until = time.monotonic() + _GATHER_S
-        while len(sent) < min(_AT_ONCE, self._under_way.used()):
+        while (lacking := min(_AT_ONCE, self._under_way.used()) - len(sent)) > 0:
             left_s = gathers_until - time.monotonic()
             if left_s <= 0:
                 break
-            sent += self._to_finish.take(_AT_ONCE - len(sent), left_s)
+            sent += self._to_finish.take(_AT_ONCE - len(sent), left_s, at_least=lacking)
         return sent
 
     def _is_unchanged(self, sending: Sending) -> bool:

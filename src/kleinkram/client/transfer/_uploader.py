@@ -16,7 +16,7 @@ from kleinkram.client.transfer._pipeline import Pipeline
 from kleinkram.client.transfer._sending import Sending
 from kleinkram.client.transfer._source import Source, WholeHash
 from kleinkram.client.transfer._store import PATIENCE_S
-from kleinkram.client.transfer.journal import Journal, JournalHead, open_journal
+from kleinkram.client.transfer.journal import Journal, JournalHead, journals_dir, open_journal
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile
@@ -96,7 +96,7 @@ class Uploader:
         self._uploads = uploads.with_patience(PATIENCE_S, self._stop.wait)
         self._server = server
         self._mission_id = mission_id
-        self._journals = journals
+        self._journals = journals or journals_dir()
         self._watcher = watcher
         self._ended = ended
         self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)

@@ -84,15 +84,19 @@ class Journal:
     def forget(self) -> None:
         """End the journal: the upload is done, or will never be."""
         self._file.unlink(missing_ok=True)
-        self.close()
+        self._close()
 
     def close(self) -> None:
         """Close and unlock, keeping the journal when it says anything."""
         if self._handle >= 0:
             if os.fstat(self._handle).st_size == 0:
                 self._file.unlink(missing_ok=True)
-            os.close(self._handle)
-            self._handle = -1
+            self._close()
+
+    def _close(self) -> None:
+        handle, self._handle = self._handle, -1
+        if handle >= 0:
+            os.close(handle)
 
     def _append(self, line: BaseModel) -> None:
         os.write(self._handle, line.model_dump_json().encode() + b"\n")
@@ -110,9 +114,8 @@ def open_journal(server: str, mission_id: uuid.UUID, file: LocalFile, *, folder:
     """
     key = hashlib.sha256(json.dumps([server, str(mission_id), file.path]).encode()).hexdigest()[:32]
     path = (folder or journals_dir()) / f"{key}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+        handle = _open(path)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -123,6 +126,15 @@ def open_journal(server: str, mission_id: uuid.UUID, file: LocalFile, *, folder:
         os.close(handle)  # its last owner removed it between our open and our lock
 
 
+def _open(path: Path) -> int:
+    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+    try:
+        return os.open(path, flags, 0o600)
+    except FileNotFoundError:  # the first of this user's
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return os.open(path, flags, 0o600)
+
+
 def _is_at(handle: int, path: Path) -> bool:
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
@@ -131,7 +143,10 @@ def _is_at(handle: int, path: Path) -> bool:
 
 
 def _read(handle: int) -> Remembered | None:
-    content = os.pread(handle, os.fstat(handle).st_size, 0)
+    size = os.fstat(handle).st_size
+    if size == 0:
+        return None
+    content = os.pread(handle, size, 0)
     whole, _, torn = content.rpartition(b"\n")
     if torn:  # whatever follows must not be glued to it
         os.ftruncate(handle, len(content) - len(torn))
