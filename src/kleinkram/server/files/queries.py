@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import (
+    ARRAY,
     BigInteger,
     ColumnElement,
     Row,
@@ -24,7 +25,6 @@ from sqlalchemy import (
     tuple_,
     update,
 )
-from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.files import FileFact, FileFilter, FileLoss, FileProblem, FileRead, FileSort
 from kleinkram.contract.missions import MissionRef
@@ -264,7 +264,7 @@ def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UU
 
 def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
     """Return, for each key that is a folder in a mission, the `key` and the `path` of one file inside."""
-    key = func.unnest(array(keys, type_=Text)).column_valued("key")
+    key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
     # "0" follows "/" by code point: the keys between are those inside, a range that the index on path_key serves.
     inside = _in_mission(mission_id, except_id).where(file.c.path_key > key + "/", file.c.path_key < key + "0")
     one = inside.with_only_columns(file.c.path).limit(1).lateral("below")
