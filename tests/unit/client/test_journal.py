@@ -1,5 +1,6 @@
 """What survives a kill -9."""
 
+import errno
 import os
 import uuid
 from pathlib import Path
@@ -7,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import UploadElsewhere
-from kleinkram.client.transfer.journal import Journal, JournalHead, JournalPart, journals_dir, open_journal
+from kleinkram.client.transfer.journal import Journal, JournalHead, JournalPart, Journals, journals_dir
 from kleinkram.client.transfer.plan import Identity, LocalFile
+from kleinkram.contract.uploads import MIN_PART_BYTES
 
 MISSION = uuid.UUID(int=1)
 FILE = LocalFile(Path("/data/cam.mcap"), "day/cam.mcap", Identity(100, 1, 2, 3))
@@ -19,17 +21,20 @@ def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
 
 
-def reopened() -> Journal:
-    return open_journal("http://lab", MISSION, FILE)
+def reopened(journals: Journals | None = None, file: LocalFile = FILE) -> Journal:
+    return (journals or Journals()).open("http://lab", MISSION, file)
+
+
+def head_of(upload_id: uuid.UUID) -> JournalHead:
+    return JournalHead(
+        server="http://lab", mission_id=MISSION, path=FILE.path, source="", size_bytes=100, upload_id=upload_id
+    )
 
 
 def begun(*parts: JournalPart) -> uuid.UUID:
     journal = reopened()
     upload_id = uuid.uuid4()
-    head = JournalHead(
-        server="http://lab", mission_id=MISSION, path=FILE.path, source="", size_bytes=100, upload_id=upload_id
-    )
-    journal.begin(head, durable=True)
+    journal.begin(head_of(upload_id), durable=True)
     for part in parts:
         journal.record(part)
     journal.close()
@@ -95,16 +100,102 @@ def test_two_never_share_one() -> None:
 
 def test_what_is_done_or_empty_leaves_nothing() -> None:
     begun(PART)
-    reopened().forget()
-    reopened().close()
+    journals = Journals()
+    reopened(journals).forget()
+    reopened(journals).close()
+    journals.close()
     assert [*journals_dir().iterdir()] == []
+
+
+def other(number: int, size_bytes: int = 100) -> LocalFile:
+    return LocalFile(Path("/data/x"), f"{number}.bin", Identity(size_bytes, 1, 2, 3))
+
+
+def test_small_files_share_a_file_one_after_the_other() -> None:
+    journals = Journals()
+    inodes = set()
+    for number in range(5):
+        journal = reopened(journals, other(number))
+        assert journal.remembered is None
+        journal.begin(head_of(uuid.uuid4()), durable=False)
+        journal.record(PART)
+        inodes |= {path.stat().st_ino for path in journals_dir().iterdir()}
+        with pytest.raises(UploadElsewhere):
+            reopened(file=other(number))
+        journal.forget()
+    assert len(inodes) == 1
+    journals.close()
+    assert [*journals_dir().iterdir()] == []
+
+
+def test_what_a_shared_file_says_stays_when_it_is_closed() -> None:
+    journals = Journals()
+    reopened(journals, other(1)).forget()
+    journal, upload_id = reopened(journals, other(2)), uuid.uuid4()
+    journal.begin(head_of(upload_id), durable=False)
+    journal.close()
+    journals.close()
+    again = reopened(file=other(2)).remembered
+    assert again is not None
+    assert again.upload_id == upload_id
+    assert len([*journals_dir().iterdir()]) == 1
+
+
+def test_a_journal_that_is_there_is_read_though_there_are_files_to_spare() -> None:
+    upload_id = begun(PART)
+    journals = Journals()
+    reopened(journals, other(1)).forget()
+    remembered = reopened(journals).remembered
+    assert remembered is not None
+    assert remembered.upload_id == upload_id
+
+
+def test_what_a_killed_process_left_to_spare_is_removed_and_its_journals_are_kept() -> None:
+    killed = Journals()
+    for journal in [reopened(killed, other(number)) for number in range(3)]:
+        journal.forget()
+    journal = reopened(killed, other(3))
+    journal.begin(head_of(uuid.uuid4()), durable=False)
+    Journals().close()
+    assert len([*journals_dir().iterdir()]) == 4, "they are of a process that lives"
+    for handle in [journal._handle, *(handle for handle, _ in killed._spares._free)]:
+        os.close(handle)
+    Journals().close()
+    assert len([*journals_dir().iterdir()]) == 2, "the journal, and the other name of its file"
+    journals = Journals()
+    resumed = reopened(journals, other(3))
+    assert resumed.remembered is not None
+    resumed.forget()
+    journals.close()
+    assert [*journals_dir().iterdir()] == []
+
+
+def test_where_a_file_has_no_second_names_each_journal_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cannot(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "not this file system")
+
+    monkeypatch.setattr(os, "link", cannot)
+    journals = Journals()
+    for number in range(5):
+        reopened(journals, other(number)).forget()
+    journals.close()
+    assert [*journals_dir().iterdir()] == []
+
+
+def test_the_journal_of_a_large_file_is_made_anew() -> None:
+    journals = Journals()
+    reopened(journals, other(1)).forget()
+    large = reopened(journals, other(2, MIN_PART_BYTES + 1))
+    assert large._own is None
+    large.close()
+    journals.close()
 
 
 def test_each_server_and_mission_has_its_own() -> None:
     journals = [
-        open_journal("http://lab", MISSION, FILE),
-        open_journal("http://other", MISSION, FILE),
-        open_journal("http://lab", uuid.UUID(int=2), FILE),
+        Journals().open("http://lab", MISSION, FILE),
+        Journals().open("http://other", MISSION, FILE),
+        Journals().open("http://lab", uuid.UUID(int=2), FILE),
     ]
     assert len([*journals_dir().iterdir()]) == 3
     for journal in journals:

@@ -16,7 +16,7 @@ from kleinkram.client.transfer._pipeline import Pipeline
 from kleinkram.client.transfer._sending import Sending
 from kleinkram.client.transfer._source import Source, WholeHash
 from kleinkram.client.transfer._store import PATIENCE_S
-from kleinkram.client.transfer.journal import Journal, JournalHead, journals_dir, open_journal
+from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile
@@ -96,7 +96,7 @@ class Uploader:
         self._uploads = uploads.with_patience(PATIENCE_S, self._stop.wait)
         self._server = server
         self._mission_id = mission_id
-        self._journals = journals or journals_dir()
+        self._journals = Journals(journals)
         self._watcher = watcher
         self._ended = ended
         self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)
@@ -121,6 +121,7 @@ class Uploader:
                 self._pipeline.drain()
         finally:
             self._pipeline.close()
+            self._journals.close()
         if self._stop.failure is not None:
             raise self._stop.failure
 
@@ -154,7 +155,7 @@ class Uploader:
         journal: Journal | None = None
         source: Source | None = None
         try:
-            journal = open_journal(self._server, self._mission_id, file, folder=self._journals)
+            journal = self._journals.open(self._server, self._mission_id, file)
             source = Source(file)
             candidate = Candidate(source, journal)
             self._drop_other_size(candidate)

@@ -18,6 +18,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from kleinkram.client.config import state_dir
 from kleinkram.client.errors import UploadElsewhere
 from kleinkram.client.transfer.plan import LocalFile
+from kleinkram.contract.uploads import MIN_PART_BYTES
+
+_SPARE = "spare-"
 
 
 class JournalHead(BaseModel):
@@ -58,12 +61,80 @@ def journals_dir() -> Path:
     return state_dir() / "uploads"
 
 
-class Journal:
-    """The journal of one file's upload, locked for as long as it is open. Appending is safe from several threads."""
+class Spares:
+    """Files of journals that ended, for those of small files to come: each empty, locked, and under a name of its own.
 
-    def __init__(self, handle: int, file: Path, remembered: Remembered | None) -> None:
+    To make and remove a file costs more than to send a small one, the more so the faster they follow each other: file
+    systems are slow to give an inode out again. So of thousands of uploads those under way at once share some hundred
+    files: what ends a journal takes its name from the file, and what begins one gives the file that name as well.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._free: list[tuple[int, Path]] = []
+
+    def take(self, path: Path) -> tuple[int, Path] | None:
+        """Give a file to `path`, and return its handle and its own name; None where there is none, or one is there."""
+        try:
+            handle, own = self._free.pop()
+        except IndexError:
+            return None
+        try:
+            os.link(own, path)
+        except OSError:  # or where the file system knows no second names
+            self._free.append((handle, own))
+            return None
+        return handle, own
+
+    def keep(self, handle: int, path: Path, own: Path | None) -> None:
+        """Take a file from `path`; what `take` did not give gets a name of its own."""
+        try:
+            if own is None:
+                own = path.rename(self._folder / f"{_SPARE}{uuid.uuid4().hex}")
+            else:
+                path.unlink()
+        except FileNotFoundError:  # somebody has cleared the folder
+            os.close(handle)
+            return
+        os.ftruncate(handle, 0)
+        self._free.append((handle, own))
+
+    def close(self) -> None:
+        """Remove them, and those that a process left that was killed."""
+        while self._free:
+            handle, own = self._free.pop()
+            own.unlink(missing_ok=True)
+            os.close(handle)
+        for left in self._folder.glob(f"{_SPARE}*"):
+            _remove_left(left)
+
+
+def _remove_left(spare: Path) -> None:
+    try:
+        handle = os.open(spare, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return
+    try:
+        # One that a journal has, too, is left to whoever resumes that upload: not even for a moment locked here.
+        if os.fstat(handle).st_nlink == 1 and _lock(handle):
+            spare.unlink(missing_ok=True)
+    finally:
+        os.close(handle)
+
+
+class Journal:
+    """The journal of one file's upload, locked for as long as it is open. Appending is safe from several threads.
+
+    Its file is `own` of the spare ones, where it came from them; once it says nothing, it goes to them.
+    """
+
+    def __init__(
+        self, handle: int, file: Path, remembered: Remembered | None, spares: Spares, own: Path | None = None
+    ) -> None:
         self._handle = handle
         self._file = file
+        self._spares = spares
+        self._own = own
         self._durable = False
         self.remembered = remembered
 
@@ -82,21 +153,24 @@ class Journal:
         self._append(part)
 
     def forget(self) -> None:
-        """End the journal: the upload is done, or will never be."""
-        self._file.unlink(missing_ok=True)
-        self._close()
+        """End the journal: the upload is done, or will never be. Nothing may be recorded from here on."""
+        handle, self._handle = self._handle, -1
+        if handle >= 0:
+            self._spares.keep(handle, self._file, self._own)
+        else:
+            self._file.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close and unlock, keeping the journal when it says anything."""
-        if self._handle >= 0:
-            if os.fstat(self._handle).st_size == 0:
-                self._file.unlink(missing_ok=True)
-            self._close()
-
-    def _close(self) -> None:
-        handle, self._handle = self._handle, -1
-        if handle >= 0:
-            os.close(handle)
+        if self._handle < 0:
+            return
+        if os.fstat(self._handle).st_size == 0:
+            self.forget()
+            return
+        if self._own is not None:
+            self._own.unlink(missing_ok=True)
+        os.close(self._handle)
+        self._handle = -1
 
     def _append(self, line: BaseModel) -> None:
         os.write(self._handle, line.model_dump_json().encode() + b"\n")
@@ -104,26 +178,45 @@ class Journal:
             os.fdatasync(self._handle)
 
 
-def open_journal(server: str, mission_id: uuid.UUID, file: LocalFile, *, folder: Path | None = None) -> Journal:
-    """Open the journal of uploading one file to one place, making it where there is none.
+class Journals:
+    """The journals of one run of uploads: in `folder`, if not where this user's are."""
 
-    It is in `folder`, if not where this user's are.
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder or journals_dir()
+        self._spares = Spares(self._folder)
 
-    Raises:
-        UploadElsewhere: another process of this machine holds it.
-    """
-    key = hashlib.sha256(json.dumps([server, str(mission_id), file.path]).encode()).hexdigest()[:32]
-    path = (folder or journals_dir()) / f"{key}.jsonl"
-    while True:
-        handle = _open(path)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(handle)
-            raise UploadElsewhere(path=file.path) from None
-        if _is_at(handle, path):
-            return Journal(handle, path, _read(handle))
-        os.close(handle)  # its last owner removed it between our open and our lock
+    def open(self, server: str, mission_id: uuid.UUID, file: LocalFile) -> Journal:
+        """Open the journal of uploading one file to one place, making it where there is none.
+
+        Raises:
+            UploadElsewhere: another process of this machine holds it.
+        """
+        key = hashlib.sha256(json.dumps([server, str(mission_id), file.path]).encode()).hexdigest()[:32]
+        path = self._folder / f"{key}.jsonl"
+        # That of a large file is made anew: to be durable, its name must be forced to disk with its lines.
+        if file.size_bytes <= MIN_PART_BYTES and (spare := self._spares.take(path)) is not None:
+            return Journal(spare[0], path, None, self._spares, spare[1])
+        while True:
+            handle = _open(path)
+            is_free = _lock(handle)
+            if _is_at(handle, path):
+                if is_free:
+                    return Journal(handle, path, _read(handle), self._spares)
+                os.close(handle)
+                raise UploadElsewhere(path=file.path)
+            os.close(handle)  # its last owner removed it between our open and our lock
+
+    def close(self) -> None:
+        """Remove what is only kept for further journals; those still open are closed by whoever has them, before."""
+        self._spares.close()
+
+
+def _lock(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _open(path: Path) -> int:
