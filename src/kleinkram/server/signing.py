@@ -12,6 +12,7 @@ import hmac
 import logging
 from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
+from functools import lru_cache
 from urllib.parse import quote, urlsplit
 
 from kleinkram.server.settings import Settings
@@ -100,7 +101,7 @@ class Presigner:
             "X-Amz-Expires": str(round(expires_s)),
         }
         path = quote(self._path + key, safe="/~")
-        pairs = sorted((quote(name, safe="~"), quote(value, safe="~")) for name, value in asked.items())
+        pairs = sorted((_quoted(name), _quoted(value)) for name, value in asked.items())
         text = "&".join(f"{name}={value}" for name, value in pairs)
         lines = "".join(f"{name}:{signed[name]}\n" for name in sorted(signed))
         request = hashlib.sha256(f"{method}\n{path}\n{text}\n{lines}\n{names}\nUNSIGNED-PAYLOAD".encode()).hexdigest()
@@ -116,3 +117,9 @@ class Presigner:
                 key = hmac.digest(key, step.encode(), "sha256")
             self._key_of_day = (day, key)
         return key
+
+
+# Most of what is in an address is in the next one too.
+@lru_cache(maxsize=1024)
+def _quoted(text: str) -> str:
+    return quote(text, safe="~")

@@ -17,7 +17,7 @@ async def path_conflicts(
     Such a path needs a folder where there is a file, or is a folder itself. A file of the same path is no conflict
     here, nor is one of `paths` for another. Two queries, however many paths; the caller holds the mission's lock.
     """
-    above = {path: _folders(path) for path in paths}
+    above = {path: folder_keys(path) for path in paths}
     blocking = await db.execute(
         queries.files_at(mission_id, {key for keys in above.values() for key in keys}, except_id=except_id)
     )
@@ -28,7 +28,8 @@ async def path_conflicts(
     return found | {path: below[name_key(path)] for path in paths if name_key(path) in below}
 
 
-def _folders(path: str) -> list[str]:
+def folder_keys(path: str) -> list[str]:
+    """Return the keys of the folders that a path is in, the outermost first."""
     parts = name_key(path).split("/")
     return ["/".join(parts[:count]) for count in range(1, len(parts))]
 

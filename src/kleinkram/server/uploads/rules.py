@@ -4,7 +4,6 @@ import enum
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import Any
 
 from sqlalchemy import Row
@@ -13,6 +12,7 @@ from kleinkram.contract.errors import FileExists, KleinkramError, NameLeased, Pa
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import ChecksumKind, UploadFile, UploadState
+from kleinkram.server.files.paths import folder_keys
 from kleinkram.server.uploads.queries import Content
 
 # What a conflict names to who may not read what is there.
@@ -128,7 +128,7 @@ def first_come(paths: Sequence[str]) -> dict[int, str]:
     refused: dict[int, str] = {}
     for place, path in enumerate(paths):
         key = name_key(path)
-        above = [name_key(str(parent)) for parent in PurePosixPath(path).parents if parent.name]
+        above = folder_keys(path)
         other = files.get(key) or folders.get(key) or next((files[each] for each in above if each in files), None)
         if other is not None:
             refused[place] = other
