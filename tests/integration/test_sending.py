@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import io
 import os
 import socket
 import threading
@@ -51,6 +52,51 @@ def source(tmp_path: Path) -> Iterator[Source]:
     source = Source(LocalFile(path, "a.bin", identity_of(path.stat())))
     yield source
     source.close()
+
+
+_TAKEN = b'HTTP/1.1 200 OK\r\nETag: "e"\r\nContent-Length: 0\r\n\r\n'
+
+
+class Scripted:
+    """A store that gives one answer after the other, over as few connections as it is asked by."""
+
+    def __init__(self, *answers: bytes) -> None:
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self.listener.getsockname()[1]}/bucket/key?X-Amz-Signature=ab"
+        self.connections = 0
+        self.asked: list[bytes] = []
+        self._answers = [*answers]
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while self._answers:
+                with self.listener.accept()[0] as connection, connection.makefile("rb") as stream:
+                    self.connections += 1
+                    self._converse(connection, stream)
+
+    def _converse(self, connection: socket.socket, stream: io.BufferedReader) -> None:
+        while self._answers and (line := stream.readline()):
+            self.asked.append(line)
+            while (line := stream.readline()) != b"\r\n":
+                self.asked[-1] += line
+            self.asked[-1] += stream.read(4)
+            answer = self._answers.pop(0)
+            middle = answer.find(b"|")  # there it comes in two pieces
+            connection.sendall(answer[: max(middle, 0)])
+            connection.sendall(answer[middle + 1 :])
+            if b"close" in answer:
+                return
+
+
+def put_each(*answers: bytes) -> tuple[list[PutAnswer], Scripted]:
+    """PUT four bytes for each answer, one after the other by one door."""
+    store, door = Scripted(*answers), StoreDoor(1)
+    try:
+        return [door.put(store.url, {"X-Checksum": "1"}, 4, [b"abcd"]) for _ in answers], store
+    finally:
+        door.close()
+        store.listener.close()
 
 
 def wait_for(event: threading.Event, seconds: float) -> None:
@@ -112,3 +158,82 @@ def test_a_disk_that_fails_is_told_as_such(source: Source, monkeypatch: pytest.M
     monkeypatch.setattr(os, "preadv", fails)
     with pytest.raises(FileUnreadable):
         put(source)
+
+
+def test_one_connection_serves_one_put_after_the_other() -> None:
+    answers, store = put_each(_TAKEN, _TAKEN, _TAKEN)
+    assert answers == [PutAnswer(Answer.taken, etag="e")] * 3
+    assert store.connections == 1
+    host = store.url.split("/")[2].encode()
+    head = b"PUT /bucket/key?X-Amz-Signature=ab HTTP/1.1\r\nHost: " + host
+    assert [asked.startswith(head) and asked.endswith(b"abcd") for asked in store.asked] == [True] * 3
+    assert b"\r\nX-Checksum: 1\r\n" in store.asked[0]
+    assert b"\r\nContent-Length: 4\r\n" in store.asked[0]
+
+
+_BUSY = b"<Error><Code>SlowDown</Code></Error>"
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (b"HTTP/1.1 503 Busy\r\nContent-Length: %d\r\n\r\n%b" % (len(_BUSY), _BUSY), "503 SlowDown"),
+        (b"HTTP/1.1 503 Busy\r\nTransfer-Encoding: chunked\r\n\r\n24\r\n%b\r\n0\r\n\r\n" % _BUSY, "503 SlowDown"),
+        (b"HTTP/1.1 200 OK\r\nETag: e\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", None),
+        (b"HTTP/1.1 200 OK\r\nETag: e\r\nContent-Length: 3\r\n\r\nabc", None),
+        (b"HTTP/1.1 200 OK\r\netag:e\r\nConten|t-Length: 0\r\n\r\n", None),
+        (b"HTTP/1.1 100 Continue\r\n\r\n" + _TAKEN, None),
+        (b"HTTP/1.1 412 Precondition Failed\r\nContent-Length: 0\r\n\r\n", None),
+    ],
+)
+def test_whatever_else_is_answered_the_connection_serves_the_next(said: bytes, expected: str | None) -> None:
+    (first, second), store = put_each(said, _TAKEN)
+    assert first.answer is (Answer.try_again if expected else Answer.taken)
+    assert first.reason == (f"the store answered {expected}" if expected else "")
+    assert second == PutAnswer(Answer.taken, etag="e")
+    assert store.connections == 1
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\n\r\n",
+        b"HTTP/1.0 200 OK, and I close\r\nETag: e\r\nContent-Length: 0\r\n\r\n",
+    ],
+)
+def test_a_connection_that_the_store_ends_is_followed_by_another(said: bytes) -> None:
+    answers, store = put_each(said, _TAKEN)
+    assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
+    assert store.connections == 2
+
+
+@pytest.mark.parametrize(
+    "said", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
+)
+def test_no_answer_is_a_reason_to_try_again(said: bytes) -> None:
+    (first, second), store = put_each(said, _TAKEN)
+    assert first.answer is Answer.try_again
+    assert first.why
+    assert second.answer is Answer.taken
+    assert store.connections == 2
+
+
+def test_a_redirect_is_not_followed() -> None:
+    (answer,), _ = put_each(b"HTTP/1.1 307 Elsewhere\r\nLocation: http://127.0.0.1:9/\r\nContent-Length: 0\r\n\r\n")
+    assert (answer.answer, answer.reason) == (Answer.refused, "the store answered 307")
+
+
+@pytest.mark.parametrize(
+    ("target", "headers"),
+    [("a b", {}), ("a\r\nX: y", {}), ("a", {"X\r\nY": "z"}), ("a", {"X": "y\r\nZ: z"}), ("a", {"X": "\u00fc"})],
+)
+def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> None:
+    store, door = Scripted(_TAKEN), StoreDoor(1)
+    try:
+        with pytest.raises(ValueError, match="would be read as another"):
+            door.put(store.url.replace("key", target), headers, 4, [b"abcd"])
+    finally:
+        door.close()
+        store.listener.close()
+    assert store.asked == []

@@ -88,7 +88,7 @@ class _PutConnection(HTTPConnection):
         }
         lines = "".join(f"{name}: {value}\r\n" for name, value in said.items())
         head = f"PUT {target} HTTP/1.1\r\n{lines}\r\n"
-        if not _REQUEST.fullmatch(head):
+        if not _REQUEST.fullmatch(head) or head.count("\r\n") != len(said) + 2:
             raise ValueError("an address or a header holds what would be read as another")
         return head.encode()
 

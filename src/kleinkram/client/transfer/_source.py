@@ -7,9 +7,9 @@ import hashlib
 import os
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from awscrt.checksums import crc64nvme
 
@@ -78,8 +78,7 @@ def read_slice(handle: int, offset: int, length: int) -> memoryview:
     return view[: os.preadv(handle, [view], offset)]
 
 
-@dataclass(frozen=True)
-class FileSlice:
+class FileSlice(NamedTuple):
     """Bytes of an open file: `length` of them from `offset`."""
 
     path: Path
@@ -89,7 +88,7 @@ class FileSlice:
 
     def from_byte(self, number: int) -> "FileSlice":
         """Return what of it begins at its byte `number`."""
-        return replace(self, offset=self.offset + number, length=self.length - number)
+        return self._replace(offset=self.offset + number, length=self.length - number)
 
     def read(self) -> Iterator[memoryview]:
         """Yield the bytes, in views that are valid until the next is asked for.

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from kleinkram.client.errors import (
     ClientError,
@@ -29,8 +30,7 @@ _RECENT_NS = 10 * 1_000_000_000
 _WATCH_S = 1.0
 
 
-@dataclass(frozen=True)
-class Identity:
+class Identity(NamedTuple):
     """What tells that a file is still the one that was planned."""
 
     size_bytes: int
