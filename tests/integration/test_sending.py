@@ -5,6 +5,7 @@ import errno
 import io
 import os
 import socket
+import ssl
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from kleinkram.client.transfer import _connections
 from kleinkram.client.transfer._source import SLICE_BYTES, Source
 from kleinkram.client.transfer._store import Answer, PutAnswer, StoreDoor
 from kleinkram.client.transfer.plan import LocalFile, identity_of
+from tests.certificate import make_certificate
 
 Pause = Callable[[], None]
 _SLICES = 10  # more than the kernel's buffers hold
@@ -60,9 +62,13 @@ _TAKEN = b'HTTP/1.1 200 OK\r\nETag: "e"\r\nContent-Length: 0\r\n\r\n'
 class Scripted:
     """A store that gives one answer after the other, over as few connections as it is asked by."""
 
-    def __init__(self, *answers: bytes) -> None:
+    def __init__(self, *answers: bytes, tls: ssl.SSLContext | None = None) -> None:
         self.listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self.listener.getsockname()[1]}/bucket/key?X-Amz-Signature=ab"
+        if tls:
+            self.listener = tls.wrap_socket(self.listener, server_side=True)
+        self.url = (
+            f"{'https' if tls else 'http'}://127.0.0.1:{self.listener.getsockname()[1]}/bucket/key?X-Amz-Signature=ab"
+        )
         self.connections = 0
         self.asked: list[bytes] = []
         self._answers = [*answers]
@@ -237,3 +243,31 @@ def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> N
         door.close()
         store.listener.close()
     assert store.asked == []
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_put_goes_to_a_store_whose_certificate_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_known: bool
+) -> None:
+    certificate, key = make_certificate(tmp_path, "127.0.0.1")
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    tls.load_cert_chain(certificate, key)
+    if is_known:
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    file = tmp_path / "a.bin"
+    file.write_bytes(b"abcd")
+    source = Source(LocalFile(file, "a.bin", identity_of(file.stat())))
+    store, door = Scripted(_TAKEN, _TAKEN, tls=tls), StoreDoor(1)
+    try:
+        answers = [door.put(store.url, {}, 4, source.stretches(0, 4)) for _ in range(2)]
+    finally:
+        source.close()
+        door.close()
+        store.listener.close()
+    if is_known:
+        assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
+        assert [asked[-4:] for asked in store.asked] == [b"abcd"] * 2
+    else:
+        assert [answer.answer for answer in answers] == [Answer.try_again] * 2
+        assert "certificate" in answers[0].why
+        assert store.asked == []
