@@ -175,10 +175,10 @@ class Pipeline:
     def _renew_leases(self) -> None:
         due = time.monotonic() - _RENEW_S
         for sending in [*self._leases.values()]:
-            if sending.renewed_at < due and sending.latest is not None and not sending.ended:
+            if sending.renewed_at < due and (latest := sending.latest()) is not None and not sending.ended:
                 sending.renewed_at = time.monotonic()
                 try:
-                    self._uploads.sign([sending.latest])
+                    self._uploads.sign([latest])
                 except (UploadGone, NotFound) as error:
                     self._fail(sending, error)
 
@@ -287,7 +287,7 @@ class Pipeline:
         elif sending.end():
             sending.journal.forget()
             file_id = outcome.file.id if outcome.file else None
-            self._ended(sending.result(Outcome.uploaded, file_id=file_id, sha256=sending.to_finish().sha256))
+            self._ended(sending.result(Outcome.uploaded, file_id=file_id, sha256=sending.sha256()))
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 

@@ -43,7 +43,7 @@ class Sending:
         self.signed = send.part
         self._is_hashed = whole is not None
         self.whole = whole or WholeHash()
-        self.latest: PartToSign | None = None
+        self._latest: tuple[int, str] | None = None
         self.renewed_at = time.monotonic()
         self.sent_bytes = 0
         self.ended = False
@@ -65,8 +65,15 @@ class Sending:
     def hash_part(self, number: int, offset: int, size_bytes: int) -> str:
         """Read a part, adding it to the whole file's checksums, and return its own checksum."""
         checksum = self._known_checksum(size_bytes) or self._read_checksum(offset, size_bytes)
-        self.latest = PartToSign(upload_id=self.upload.id, number=number, checksum=checksum)
+        self._latest = number, checksum
         return checksum
+
+    def latest(self) -> PartToSign | None:
+        """Return what the server signs of the part hashed last; asking for it renews the lease."""
+        if self._latest is None:
+            return None
+        number, checksum = self._latest
+        return PartToSign(upload_id=self.upload.id, number=number, checksum=checksum)
 
     def _known_checksum(self, size_bytes: int) -> str | None:
         if not self._is_hashed or size_bytes != self.file.size_bytes:
@@ -128,8 +135,11 @@ class Sending:
 
     def to_finish(self) -> UploadFinish:
         """Return what completes the upload."""
-        sha256, crc = self.whole.sha256.hexdigest(), self.whole.crc64nvme.hexdigest()
-        return UploadFinish(upload_id=self.upload.id, sha256=sha256, crc64nvme=crc)
+        return UploadFinish(upload_id=self.upload.id, sha256=self.sha256(), crc64nvme=self.whole.crc64nvme.hexdigest())
+
+    def sha256(self) -> str:
+        """Return the whole file's checksum, once all of it is hashed."""
+        return self.whole.sha256.hexdigest()
 
 
 def _agree(held: HeldPart, written: JournalPart, size_bytes: int, checksum: str) -> bool:
