@@ -15,6 +15,7 @@ from sqlalchemy import ARRAY, ColumnElement, any_, event, literal, make_url
 from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
+from sqlalchemy.types import UserDefinedType
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.settings import Settings, async_dsn
@@ -124,6 +125,20 @@ def was_cut_off(error: DatabaseUnavailable) -> bool:
         return False
     state = cause.orig.sqlstate
     return state is None or state.startswith(_CUT_OFF)
+
+
+class Written(UserDefinedType[str]):
+    """An array as PostgreSQL writes it: what it said in a text is said back, and no element of it is looked at here."""
+
+    cache_ok = True
+    render_bind_cast = True
+
+    def __init__(self, element: str) -> None:
+        self.element = element
+
+    def get_col_spec(self, **_: Any) -> str:
+        """Return the type as SQL says it."""
+        return f"{self.element}[]"
 
 
 def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:

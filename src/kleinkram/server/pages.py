@@ -74,22 +74,43 @@ async def fetch_page(
         total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
         if not total and not request.cursor:  # nothing to go through everything for once more
             return Rows([], None, 0)
-    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
-    if described is None:
-        paged = _first(statement.add_columns(*keys), order, request)
-    else:
-        found = statement.with_only_columns(*keys, maintain_column_froms=True)
-        page = _first(found, order, request).subquery("page")
-        paged = _in_order(described(page.c[keys[-1].name]).add_columns(*page.c), page.c, order)
+    paged = page_of(statement, order, request, described=described)
     try:
         rows = (await db.execute(paged)).all()
     except (DataError, ProgrammingError, UnicodeEncodeError) as error:
         if request.cursor:  # well-formed, but with values that this list's columns cannot have
             raise InvalidCursor from error
         raise
-    more = len(rows) > request.limit
-    items = rows[: request.limit]
-    return Rows(items, _encode(items[-1], order) if more else None, total)
+    return cut(rows, order, limit=request.limit, total=total)
+
+
+def page_of(
+    statement: Select[Any],
+    order: Order,
+    request: PageRequest,
+    *,
+    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
+    counted: bool = False,
+) -> Select[Any]:
+    """Return what `fetch_page` runs for the rows of a page, for `cut`; where `counted`, each says the `total` of all.
+
+    Raises:
+        InvalidCursor: the cursor is not one of this list in this order.
+    """
+    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
+    total = [func.count().over().label("total")] if counted else []
+    if described is None:
+        return _first(statement.add_columns(*keys, *total), order, request)
+    found = statement.with_only_columns(*keys, *total, maintain_column_froms=True)
+    page = _first(found, order, request).subquery("page")
+    columns = [page.c[key.name] for key in keys]
+    return in_order(described(columns[-1]).add_columns(*page.c), columns, order)
+
+
+def cut(rows: Sequence[Row[Any]], order: Order, *, limit: int, total: int | None) -> Rows:
+    """Return one page of rows that `page_of` has selected, which may be one more."""
+    items = rows[:limit]
+    return Rows(items, _encode(items[-1], order) if len(rows) > limit else None, total)
 
 
 def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select[Any]:
@@ -101,10 +122,11 @@ def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select
         # The first column is said once more, by itself: where the others are of other tables, its index still serves.
         ahead = first <= literal(given[0]) if order.descending else first >= literal(given[0])
         statement = statement.where(ahead, row < after if order.descending else row > after)
-    return _in_order(statement, order.columns, order).limit(request.limit + 1)
+    return in_order(statement, order.columns, order).limit(request.limit + 1)
 
 
-def _in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
+def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
+    """Return a select in an order of these columns, in its direction."""
     return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
 
 

@@ -1,23 +1,49 @@
-"""What was looked up before a search: where its words are said, and whether it finds few files or very many."""
+"""What was looked up before a search: where its words are said, and whether it finds few files or very many.
 
-import uuid
+Ids and names are kept as the array that PostgreSQL wrote of them (`db.Written`): of thousands, none is read here.
+"""
+
 from dataclasses import dataclass
+
+NONE_AT_ALL = "{}"
 
 
 @dataclass(frozen=True)
 class Said:
-    """Where a word is said: ids of projects, missions and files, names of topics; None where these are not named."""
+    """Where a word is said: ids of projects, missions and files, names of topics; None where these are not named.
+
+    Where it `is_general` it stands for any word of which as much is known: `word` is only what its values are called,
+    and `is_escaped` whether JSON writes it otherwise than it is.
+    """
 
     word: str
-    project_ids: tuple[uuid.UUID, ...] | None = None
-    mission_ids: tuple[uuid.UUID, ...] | None = None
-    file_ids: tuple[uuid.UUID, ...] | None = None
-    topics: tuple[str, ...] | None = None
+    project_ids: str | None = None
+    mission_ids: str | None = None
+    file_ids: str | None = None
+    topics: str | None = None
+    is_general: bool = False
+    is_escaped: bool = False
 
     @property
     def is_nowhere(self) -> bool:
         """Whether nothing at all holds the word."""
-        return (self.project_ids, self.mission_ids, self.file_ids, self.topics) == ((), (), (), ())
+        return {self.project_ids, self.mission_ids, self.file_ids, self.topics} == {NONE_AT_ALL}
+
+
+@dataclass(frozen=True)
+class Found:
+    """All files that are found, where these are few, with the missions they are in and their blobs.
+
+    Of those that are seen by who asks; `first` are those that a page of them begins with. Where it `is_general` it
+    stands for whatever was found.
+    """
+
+    file_count: int
+    file_ids: str
+    mission_ids: str
+    blob_ids: str
+    first: str
+    is_general: bool = False
 
 
 @dataclass(frozen=True)
@@ -30,16 +56,14 @@ class Looked:
     finds_many: bool = False
     # Whether everything is gone through that may match.
     goes_through_all: bool = False
-    # All files that are found, where these are few, with the missions they are in and their blobs: of those that are
-    # seen by who asks.
-    file_ids: tuple[uuid.UUID, ...] | None = None
-    mission_ids: tuple[uuid.UUID, ...] = ()
-    blob_ids: tuple[uuid.UUID, ...] = ()
+    # Whether files are asked about mission by mission, each time within a statement of its own.
+    asks_missions: bool = False
+    found: Found | None = None
 
     @property
     def finds_few(self) -> bool:
         """Whether so few files are found that a list is best sorted, rather than walked in its order."""
-        return self.led_by is not None or self.file_ids is not None
+        return self.led_by is not None or self.found is not None
 
     @property
     def finds_nothing(self) -> bool:

@@ -42,9 +42,11 @@ from kleinkram.server.access.visible import (
 )
 from kleinkram.server.db import among
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Order
+from kleinkram.server.pages import Order, PageRequest, page_of
+from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.search.topics import topic_rows
+from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -182,9 +184,21 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
     return narrow_files(actor, files_of_seen(actor, mission_ids), matching)
 
 
+@functools.lru_cache(maxsize=KEPT)
+def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
+    """Return the first page of the visible files that match, as `to_file` reads them."""
+    found, order = matching_files(asked.actor, asked.matching), file_order(asked.actor, sort)
+    return page_of(found, order, PageRequest(limit), described=rows_of_found)
+
+
 def file_order(actor: Actor, sort: FileSort) -> Order:
     """Return a list's order. Files without a time come last, whichever way the list runs."""
     return _order(sort, is_walked=actor.few_mission_ids is None and not actor.looked.finds_few)
+
+
+def sorted_order(sort: FileSort) -> Order:
+    """Return the order of a list that is sorted, rather than walked in its order."""
+    return _order(sort, is_walked=False)
 
 
 @functools.cache

@@ -33,9 +33,10 @@ from kleinkram.server.editions import require_edition
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, Rows, fetch_page, place_of
+from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_page, place_of
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
+from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
@@ -89,6 +90,27 @@ async def list_files(
         found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
         rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
+async def list_found(db: Connection, actor: Actor, *, found: FileFilter, sort: FileSort, limit: int) -> Page[FileRead]:
+    """Return the first page of the files that a search finds.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    if sort in _BY_PATH and not actor.looked.finds_few:
+        return await list_files(db, actor, matching=found, sort=sort, page=PageRequest(limit))
+    given = values(actor, found)
+    if actor.looked.found is not None:
+        given["found_file_ids"] = actor.looked.found.first
+    page = queries.page_of_found(asked_alike(actor, found), sort, limit=limit)
+    rows = cut((await db.execute(page, given)).all(), queries.file_order(actor, sort), limit=limit, total=None)
+    return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=None)
+
+
+def sorted_order(sort: FileSort) -> Order:
+    """Return the order of a list that is sorted, rather than walked in its order."""
+    return queries.sorted_order(sort)
 
 
 async def _first_missions(

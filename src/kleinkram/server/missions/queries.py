@@ -34,9 +34,11 @@ from kleinkram.server.access.visible import (
     visible_projects,
 )
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pages import Order
-from kleinkram.server.search.looking import drawn_missions
+from kleinkram.server.pages import Order, PageRequest, page_of
+from kleinkram.server.search.asked import Asked
+from kleinkram.server.search.looking import drawn_missions, walking
 from kleinkram.server.search.matching import narrow_missions, narrow_missions_found
+from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -141,15 +143,30 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
     return narrowed if found is None else narrow_missions_found(actor, narrowed, found)
 
 
-def count_drawn(actor: Actor, found: FileFilter) -> Select[Any]:
-    """Return `hits`: how many of the missions drawn by lot a query finds; of how many `drawn`, and the `last`."""
-    drawn = drawn_missions()
+@functools.lru_cache(maxsize=KEPT)
+def page_of_found(asked: Asked, sort: MissionSort, *, limit: int, counted: bool) -> Select[Any]:
+    """Return the first page of the visible missions that a query of files finds, as `to_mission` reads them."""
+    matched = matching_missions(asked.actor, MissionFilter(), asked.matching)
+    described = functools.partial(rows_of_found, asked.actor)
+    return page_of(matched, mission_order(asked.actor, sort), PageRequest(limit), described=described, counted=counted)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def count_drawn(asked: Asked) -> Select[Any]:
+    """Return `hits`: how many of the missions drawn by lot a query finds; of how many `drawn`, and the `last`.
+
+    For a query that finds very many: what is listed afterwards in the same transaction is walked.
+    """
+    drawn, actor = drawn_missions(), asked.actor
     within = visible_missions(actor).where(mission.c.id.in_(select(drawn.c.id)))
-    hits = narrow_missions_found(actor, within, found).with_only_columns(mission.c.id, maintain_column_froms=True)
+    hits = narrow_missions_found(actor, within, asked.matching).with_only_columns(
+        mission.c.id, maintain_column_froms=True
+    )
     return select(
         select(func.count()).select_from(hits.subquery()).scalar_subquery().label("hits"),
         select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
         select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
+        walking(),
     )
 
 

@@ -37,8 +37,9 @@ from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import prefilled, write_template
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.pages import PageRequest, cut, fetch_page
 from kleinkram.server.quotas.service import require_room_for_mission
+from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.looking import estimate_missions
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
@@ -122,13 +123,31 @@ async def list_missions(
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int:
-    """Return about how many missions a query finds that finds very many files; exactly, where there are few missions.
+async def list_found(
+    db: Connection, actor: Actor, *, found: FileFilter, sort: MissionSort, limit: int, count: bool
+) -> Page[MissionRead]:
+    """Return the first page of the missions that a query finds, by themselves or by their files.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    row = (await db.execute(queries.count_drawn(actor, found))).one()
+    asked = asked_alike(actor, found)
+    page = queries.page_of_found(asked, sort, limit=limit, counted=count)
+    rows = (await db.execute(page, values(actor, found))).all()
+    total = (rows[0].total if rows else 0) if count else None
+    paged = cut(rows, queries.mission_order(actor, sort), limit=limit, total=total)
+    return Page(items=[queries.to_mission(row) for row in paged.items], next=paged.next, total=total)
+
+
+async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int:
+    """Return about how many missions a query finds that finds very many files; exactly, where there are few missions.
+
+    What is listed afterwards in the same transaction is walked in its order.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    row = (await db.execute(queries.count_drawn(asked_alike(actor, found)), values(actor, found))).one()
     return 0 if row.last is None else estimate_missions(row.hits, row.drawn, row.last.int)
 
 

@@ -44,8 +44,9 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import among
 from kleinkram.server.search import choosing, looking
-from kleinkram.server.search.looking import drawn_files
+from kleinkram.server.search.asked import Asked, values
 from kleinkram.server.search.matching import file_conditions, narrow_files, narrow_topics
+from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12
@@ -67,25 +68,26 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
     return [matching, *(each for each in without if each != matching)]
 
 
-def facet_rows(
-    actor: Actor, matching: FileFilter, *, most: int, many: Sequence[FileFilter] = ()
-) -> CompoundSelect[Any]:
+@lru_cache(maxsize=KEPT)
+def facet_rows(asked: Asked, *, most: int, many: Sequence[bool], drawn: CTE) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 
     The rows of the empty facet hold how many files were looked at: `found` of the filter, and how many there were to be
     `drawn` where all filters find `many`, of which only files drawn by lot are looked at. A facet of which something is
     chosen counts the files that would be found if nothing of it were, so that its numbers say what another choice would
-    find. It is executed with the `parameters` of the filter.
+    find. `many` says it of each of the `variants`. It is executed with the `parameters` of the filter.
     """
-    tried = _tried(actor, many) if len(many) == len(variants(actor, matching)) else None
+    actor, matching = asked.actor, asked.matching
+    each_filter = variants(actor, matching)
+    tried = _tried(actor, each_filter, drawn) if all(many) else None
 
     def found_by(facet: str, name: str) -> CTE:
         each = choosing.without(matching, facet) if facet else matching
         if tried is not None:
-            return select(*_same(tried)).where(tried.c[f"holds_{many.index(each)}"]).cte(name)
-        is_drawn = each in many
+            return select(*_same(tried)).where(tried.c[f"holds_{each_filter.index(each)}"]).cte(name)
+        is_drawn = many[each_filter.index(each)]
         as_drawn = replace(actor, looked=replace(actor.looked, finds_many=is_drawn))
-        return _found(as_drawn, each, name, most, is_drawn=is_drawn)
+        return _found(as_drawn, each, name, most, drawn if is_drawn else None)
 
     chosen = frozenset(facet for facet in PLAIN_FACETS if choosing.without(matching, facet) != matching)
     found = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
@@ -93,24 +95,27 @@ def facet_rows(
         name: _topics(found.get(facet, found[""]), choosing.without(matching, facet), name)
         for facet, name in _topics_of(chosen).items()
     }
-    asked = choosing.fields(matching) if sees_whole_missions(actor) else []
-    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(asked)]
+    fields_asked = choosing.fields(matching) if sees_whole_missions(actor) else []
+    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(fields_asked)]
     looked_at = ("found",) if tried is None else ("found", "drawn")
-    counts = _counts(chosen, len(asked), looked_at, with_metadata=sees_whole_missions(actor))
+    counts = _counts(chosen, len(fields_asked), looked_at, with_metadata=sees_whole_missions(actor))
     return counts.add_cte(*found.values(), *topics.values(), *fields)
 
 
-def parameters(matching: FileFilter) -> dict[str, object]:
-    """Return what the statement of `facet_rows` is executed with: the metadata fields that a filter asks for."""
+def parameters(actor: Actor, matching: FileFilter) -> dict[str, object]:
+    """Return what the statement of `facet_rows` is executed with: the metadata fields that a filter asks for, too."""
     asked = choosing.fields(matching)
-    return {"asked": asked, **{f"field_{number}": field for number, field in enumerate(asked)}}
+    return values(actor, matching) | {
+        "asked": asked,
+        **{f"field_{number}": field for number, field in enumerate(asked)},
+    }
 
 
-def _tried(actor: Actor, filters: Sequence[FileFilter]) -> CTE:
+def _tried(actor: Actor, filters: Sequence[FileFilter], drawn: CTE) -> CTE:
     """Return the files drawn by lot that are seen, and which of some filters each matches: they are read once."""
     holds = (and_(true(), *file_conditions(actor, each)) for each in filters)
     columns = (*_columns(), *(each.label(f"holds_{number}") for number, each in enumerate(holds)))
-    seen = visible_files(actor).where(file.c.id.in_(select(drawn_files().c.id)))
+    seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
     # With a limit the database tries each once, and not for each of the filters anew.
     seen = seen.with_only_columns(*columns, maintain_column_froms=True).limit(looking.DRAWN)
     return seen.cte("tried").prefix_with("MATERIALIZED")
@@ -120,11 +125,11 @@ def _same(tried: CTE) -> Iterator[ColumnElement[Any]]:
     return (tried.c[str(each.key)] for each in _columns())
 
 
-def _found(actor: Actor, matching: FileFilter, name: str, most: int, *, is_drawn: bool) -> CTE:
+def _found(actor: Actor, matching: FileFilter, name: str, most: int, drawn: CTE | None) -> CTE:
     found = narrow_files(actor, visible_files(actor), matching)
     found = found.with_only_columns(*_columns(), maintain_column_froms=True)
-    if is_drawn:
-        found = found.where(file.c.id.in_(select(drawn_files().c.id)))
+    if drawn is not None:
+        found = found.where(file.c.id.in_(select(drawn.c.id)))
     return found.limit(most).cte(name).prefix_with("MATERIALIZED")
 
 

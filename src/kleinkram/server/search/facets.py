@@ -16,6 +16,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import choosing, looking
+from kleinkram.server.search.asked import asked_alike
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
 from kleinkram.server.search.looking import let_join, look_ahead
 from kleinkram.server.search.queries import room_to_count
@@ -39,15 +40,15 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
     actor, outlook = await look_ahead(db, actor, *each, FileFilter())
     if actor.looked.finds_nothing:
         return _to_facets(actor, matching, [], file_count=0, is_whole=True)
-    many = [] if outlook is None else [found for number, found in enumerate(each) if outlook.finds_many(number)]
-    if outlook is not None and len(many) < len(each):
+    many = tuple(outlook is not None and outlook.finds_many(number) for number in range(len(each)))
+    if outlook is not None and not all(many):
         # Who sees few of all files sees few missions: these are best gone through one by one.
         await let_join(db, actor, freely=outlook.hits[len(each)] >= looking.MANY)
     for most, milliseconds in _ATTEMPTS:
         rows = await _within(db, actor, matching, many, most=most, milliseconds=milliseconds)
         if rows is not None:
             looked_at = _looked_at(rows)["found"]
-            is_whole = looked_at < most and matching not in many
+            is_whole = looked_at < most and not many[0]
             return _to_facets(actor, matching, rows, file_count=looked_at, is_whole=is_whole)
     return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
 
@@ -58,8 +59,9 @@ async def _of_everything(db: Connection, actor: Actor) -> FacetsRead | None:
         return None
     everything = FileFilter()
     await let_join(db, actor, freely=False)
-    stmt = facet_rows(actor, everything, most=looking.DRAWN, many=[everything])
-    rows = (await db.execute(stmt, parameters(everything))).all()
+    asked = asked_alike(actor, everything)
+    stmt = facet_rows(asked, most=looking.DRAWN, many=(True,), drawn=looking.drawn_files())
+    rows = (await db.execute(stmt, parameters(actor, everything))).all()
     looked_at = _looked_at(rows)
     if looked_at["drawn"] < looking.DRAWN or looked_at["found"] < looking.MANY:
         return None
@@ -70,21 +72,22 @@ async def _within(
     db: Connection,
     actor: Actor,
     matching: FileFilter,
-    many: Sequence[FileFilter],
+    many: Sequence[bool],
     *,
     most: int,
     milliseconds: int,
 ) -> Sequence[Row[Any]] | None:
     """Return the rows of all facets, or None where that takes too long."""
-    stmt, values = facet_rows(actor, matching, most=most, many=many), parameters(matching)
-    if len(many) == len(variants(actor, matching)):
+    stmt = facet_rows(asked_alike(actor, matching), most=most, many=many, drawn=looking.drawn_files())
+    given = parameters(actor, matching)
+    if all(many):
         # All files are drawn, and have just been looked through: that takes no time to be bounded.
-        return (await db.execute(stmt, values)).all()
+        return (await db.execute(stmt, given)).all()
     try:
         async with db.begin_nested():
             timeout = func.set_config("statement_timeout", str(milliseconds), True)
             await db.execute(room_to_count().add_columns(timeout))
-            return (await db.execute(stmt, values)).all()
+            return (await db.execute(stmt, given)).all()
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.QueryCanceled):
             return None

@@ -6,7 +6,7 @@ from sqlalchemy import ColumnElement, false, or_
 
 from kleinkram.contract.names import name_key
 
-_ESCAPE = "\\"
+ESCAPE = "\\"
 
 
 def like_pattern(glob: str) -> str:
@@ -20,15 +20,15 @@ def containing(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    for special in (_ESCAPE, "%", "_"):
-        text = text.replace(special, _ESCAPE + special)
+    for special in (ESCAPE, "%", "_"):
+        text = text.replace(special, ESCAPE + special)
     return text
 
 
 def matches(column: ColumnElement[str], glob: str) -> ColumnElement[bool]:
     """Return the condition that a column matches a glob, letter case included; without a wildcard, equals it."""
     if "*" in glob or "?" in glob:
-        return column.like(like_pattern(glob), escape=_ESCAPE)
+        return column.like(like_pattern(glob), escape=ESCAPE)
     return column == glob
 
 
@@ -44,9 +44,9 @@ def matches_any(column: ColumnElement[str], globs: Sequence[str]) -> ColumnEleme
 
 def holds_word(column: ColumnElement[str], word: str) -> ColumnElement[bool]:
     """Return the condition that a text contains a word, in any case."""
-    return column.ilike(containing(word), escape=_ESCAPE)
+    return column.ilike(containing(word), escape=ESCAPE)
 
 
 def key_holds_word(column: ColumnElement[str], word: str) -> ColumnElement[bool]:
     """Return the condition that a column of name keys contains a word, in any case and Unicode form."""
-    return column.like(containing(name_key(word)), escape=_ESCAPE)
+    return column.like(containing(name_key(word)), escape=ESCAPE)

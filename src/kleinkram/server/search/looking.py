@@ -4,21 +4,21 @@ Ids are random, so the first of them are files drawn by lot, and an index reads 
 says where to begin and, where very many are found, about how many; nothing of rights: every statement asks for those.
 """
 
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
-from sqlalchemy import CTE, ColumnElement, Select, and_, func, select, true
+from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func, select, true
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.looked import Looked
+from kleinkram.server.access.looked import NONE_AT_ALL, Looked
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.db import Connection
-from kleinkram.server.search.matching import file_conditions, narrow_files
-from kleinkram.server.search.words import file_holds, has_index, look_up, words_of
+from kleinkram.server.search.asked import Asked, asked_alike, values
+from kleinkram.server.search.matching import file_conditions
+from kleinkram.server.search.words import KEPT, file_holds, has_index, look_up, words_of
 from kleinkram.server.tables import file, mission
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
@@ -27,8 +27,6 @@ DRAWN, MANY = 500, 10
 _MANY_TOGETHER = 3
 _MISSIONS_DRAWN = 100
 _IDS = 2**128
-# Files that a search finds and that are named in what it asks besides.
-_FEW = 50_000
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Outlook:
     drawn: int
     files: int
     many: int = MANY
-    blob_ids: Sequence[uuid.UUID] = ()
+    blob_ids: str = NONE_AT_ALL
 
     def finds_many(self, number: int = 0) -> bool:
         """Say whether a filter finds so many files that they are not all looked at."""
@@ -72,16 +70,16 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
         return actor, None
     words = words_of(filters[0].text)
     actor = replace(actor, looked=Looked(await look_up(db, actor, words)))
-    conditions = [and_(true(), *file_conditions(actor, each)) for each in filters]
+    tried = _tried(tuple(asked_alike(actor, each) for each in filters), drawn_files())
     if actor.looked.finds_nothing:
         return actor, Outlook([0] * len(filters), 0, 0)
     await let_join(db, actor, freely=False)
-    row = (await db.execute(_tried(actor, [*conditions, *(file_holds(actor, word) for word in words)]))).one()
+    row = (await db.execute(tried, values(actor, filters[0]))).one()
     hits, held = list(row[: len(filters)]), dict(zip(words, row[len(filters) :], strict=False))
     files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
     rarest = min(filter(has_index, words), key=lambda word: held[word], default=None)
     is_led = rarest is None or held[rarest] < MANY
-    outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER, row.blob_ids or ())
+    outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER, row.blob_ids or NONE_AT_ALL)
     # Files without a time come last: where nearly all are such, a walk would meet all others first.
     if outlook.finds_many() and row.timed < _MANY_TOGETHER:
         outlook = replace(outlook, many=DRAWN + 1)
@@ -102,12 +100,15 @@ async def let_join(db: Connection, actor: Actor, *, freely: bool) -> None:
         await db.execute(select(*kinds))
 
 
-def _tried(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[Any]:
-    """Return of how many files drawn each condition holds, of which blobs the first, and of how many `timed` files.
+@lru_cache(maxsize=KEPT)
+def _tried(asked: Sequence[Asked], drawn: CTE) -> Select[Any]:
+    """Return how many files drawn each filter finds, and each word of the first; and what was drawn.
 
-    And what was drawn.
+    Of the first also the blobs, and how many of its files are `timed`.
     """
-    drawn = drawn_files()
+    actor = asked[0].actor
+    conditions = [and_(true(), *file_conditions(actor, each.matching)) for each in asked]
+    conditions += [file_holds(actor, word) for word in words_of(asked[0].matching.text)]
     holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
     seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
     tried = seen.with_only_columns(*holding, file.c.start_ns, file.c.blob_id, maintain_column_froms=True)
@@ -117,30 +118,18 @@ def _tried(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[An
     return select(
         *(func.count().filter(condition) for condition in held),
         func.count().filter(held[0], each.c.start_ns.is_not(None)).label("timed"),
-        func.array_agg(each.c.blob_id).filter(held[0]).label("blob_ids"),
+        cast(func.array_agg(each.c.blob_id, type_=ARRAY(Text)).filter(held[0]), Text).label("blob_ids"),
         select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
         select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
     )
 
 
-async def find_few(db: Connection, actor: Actor, matching: FileFilter) -> Actor:
-    """Return who asks, knowing all files that a filter finds, where these are few: then they are looked for once.
+def walking() -> ColumnElement[str]:
+    """Return the column that has lists walked in their order from then on, until the transaction ends.
 
-    Raises:
-        InvalidQuery: a `where` cannot be used.
+    Of very many that match, the first are soon met so; of words together the database expects too few for that.
     """
-    through = replace(actor, looked=replace(actor.looked, goes_through_all=True))
-    found = narrow_files(through, visible_files(actor), matching)
-    found = found.with_only_columns(file.c.id, file.c.mission_id, file.c.blob_id, maintain_column_froms=True)
-    # Planned as if all were wanted: with a limit of its own, the database would count on meeting that many soon.
-    every = found.cte("found").prefix_with("MATERIALIZED")
-    rows = (await db.execute(select(every).limit(_FEW + 1))).all()
-    if len(rows) > _FEW:
-        return actor
-    file_ids, mission_ids, blob_ids = zip(*rows, strict=True) if rows else ((), (), ())
-    mission_ids = tuple(dict.fromkeys(mission_ids))
-    looked = replace(actor.looked, file_ids=file_ids, mission_ids=mission_ids, blob_ids=blob_ids)
-    return replace(actor, looked=looked)
+    return func.set_config("enable_sort", "off", True).label("walking")
 
 
 def drawn_missions() -> CTE:

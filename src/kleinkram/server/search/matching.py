@@ -2,6 +2,7 @@
 
 import datetime
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 from unicodedata import normalize
 
@@ -13,8 +14,9 @@ from sqlalchemy import (
     Select,
     Table,
     Text,
-    Uuid,
     and_,
+    any_,
+    bindparam,
     case,
     cast,
     func,
@@ -33,13 +35,14 @@ from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
 from kleinkram.contract.query.parsing import parse_term
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.looked import Found
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.dates import nanoseconds
-from kleinkram.server.db import among
+from kleinkram.server.db import Written
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.kept import may_have_topic, where_it_may_be
 from kleinkram.server.search.where import condition
-from kleinkram.server.search.words import file_holds, mission_holds, mission_may_hold, words_of
+from kleinkram.server.search.words import file_holds, holds, mission_holds, mission_may_hold, words_of
 from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
 
 Conditions = list[ColumnElement[bool]]
@@ -115,15 +118,16 @@ def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter)
 
 
 def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement[bool]:
-    if actor.looked.file_ids is not None:
-        return select(func.unnest(literal([*actor.looked.mission_ids], ARRAY(Uuid))))
+    if actor.looked.found is not None:
+        return select(func.unnest(_found(actor.looked.found, "mission_ids")))
     if not actor.looked.finds_many:
         files = narrow_files(actor, visible_files(actor), matching)
         return files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
     # Most missions have some: one is soon met. The mission around it is visible, so only its files are asked about.
     inside = select(file.c.id).outerjoin(blob, blob.c.id == file.c.blob_id)
     live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
-    files = inside.where(*live, *file_conditions(actor, matching)).correlate(mission, project)
+    each = replace(actor, looked=replace(actor.looked, asks_missions=True))
+    files = inside.where(*live, *file_conditions(each, matching)).correlate(mission, project)
     return where_it_may_be(_may_hold(actor, matching), files.exists())
 
 
@@ -141,9 +145,9 @@ def narrow_topics(stmt: Select[Any], matching: FileFilter) -> Select[Any]:
     return stmt.where(*_topic_conditions(matching))
 
 
-def words_in(column: ColumnElement[str], matching: FileFilter) -> ColumnElement[int]:
+def words_in(actor: Actor, column: ColumnElement[str], matching: FileFilter) -> ColumnElement[int]:
     """Return how many of the words of a filter a text holds."""
-    held = [case((holds_word(column, word), 1), else_=0) for word in words_of(matching.text)]
+    held = [case((holds(column, actor.looked.of(word)), 1), else_=0) for word in words_of(matching.text)]
     return sum(held, literal(0, Integer))
 
 
@@ -153,8 +157,8 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    if actor.looked.file_ids is not None:
-        return [among(file.c.id, actor.looked.file_ids)]
+    if actor.looked.found is not None:
+        return [file.c.id == any_(_found(actor.looked.found, "file_ids"))]
     _refuse_metadata(actor, matching)
     conditions = _place(matching) + _span(matching, file.c.start_ns, blob.c.end_ns) + _begun(matching)
     conditions += _bytes(matching)
@@ -173,6 +177,11 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.topic or matching.message_type:
         conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return conditions + [_fails(file_conditions(actor, parse_term(term))) for term in matching.without]
+
+
+def _found(found: Found, what: str) -> ColumnElement[Any]:
+    kind = Written("UUID")
+    return bindparam(f"found_{what}", type_=kind) if found.is_general else literal(getattr(found, what), kind)
 
 
 def _of_missions(actor: Actor, matching: FileFilter) -> Conditions:

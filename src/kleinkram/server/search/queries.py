@@ -1,22 +1,21 @@
 """Topics across files, and statistics. Functions return selects; they touch no connection."""
 
 import re
-import uuid
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
-    ARRAY,
     BigInteger,
     ColumnElement,
     Row,
     Select,
     Text,
     and_,
+    bindparam,
     cast,
     distinct,
     func,
-    literal,
     null,
     select,
     true,
@@ -27,10 +26,13 @@ from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files
+from kleinkram.server.db import Written
+from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.looking import rounded
 from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
+from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
 _MEMORY = "32MB"
@@ -47,30 +49,22 @@ def room_to_count() -> Select[Any]:
     return select(func.set_config("work_mem", _MEMORY, True))
 
 
-def walking() -> Select[Any]:
-    """Return the statement that has lists walked in their order, until the transaction ends.
-
-    Of very many that match, the first are soon met so; of words together the database expects too few for that.
-    """
-    return select(func.set_config("enable_sort", "off", True))
-
-
-def topics_found(
-    actor: Actor, matching: FileFilter, *, limit: int, blob_ids: Sequence[uuid.UUID] | None = None
-) -> Select[Any]:
+@lru_cache(maxsize=KEPT)
+def topics_found(asked: Asked, *, limit: int, of_blobs: bool) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
-    With `blob_ids`, of files of these blobs, which this very request has found among those that match.
+    With `of_blobs`, of files of the `found_blob_ids`, which this very request has found among those that match.
 
     Those whose names hold the most words of the filter come first, then those of the most files.
     """
-    if blob_ids is None:
+    actor, matching = asked.actor, asked.matching
+    if not of_blobs:
         files = narrow_files(actor, visible_files(actor), matching)
         files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
     else:
-        files = select(func.unnest(literal([*blob_ids], ARRAY(blob.c.id.type))).label("blob_id"))
+        files = select(func.unnest(bindparam("found_blob_ids", type_=Written("UUID"))).label("blob_id"))
     found = files.cte("found")
-    if blob_ids is not None or matching != FileFilter():
+    if of_blobs or matching != FileFilter():
         # Looked up once and first: what is found of the files says nothing of how many topics they have.
         found = found.prefix_with("MATERIALIZED")
     # A blob names each topic once, so there is a row for each of its files. Read blob by blob, and behind a fence: else
@@ -87,7 +81,7 @@ def topics_found(
         func.count().over().label("total"),
     )
     grouped = select(*columns).join_from(found, within, true())
-    order = (words_in(name, matching).desc(), file_count.desc(), name, message_type)
+    order = (words_in(actor, name, matching).desc(), file_count.desc(), name, message_type)
     return grouped.group_by(name, message_type).order_by(*order).limit(limit)
 
 

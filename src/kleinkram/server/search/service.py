@@ -7,7 +7,7 @@ from sqlalchemy import Row
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter, FileRead, FileSort, TopicRead
-from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
+from kleinkram.contract.missions import MissionRead, MissionSort
 from kleinkram.contract.paging import Page
 from kleinkram.contract.query import parse, render
 from kleinkram.contract.searching import SearchRead, TopicFound
@@ -19,11 +19,14 @@ from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.search import queries
-from kleinkram.server.search.looking import Outlook, find_few, look_ahead
+from kleinkram.server.search.asked import asked_alike, values
+from kleinkram.server.search.few import find_few
+from kleinkram.server.search.looking import Outlook, look_ahead
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000
+_LATEST = MissionSort.start_desc
 _Found = tuple[Page[MissionRead], Page[FileRead], Page[TopicFound]]
 
 
@@ -62,38 +65,36 @@ async def _counted(db: Connection, actor: Actor, matching: FileFilter, sort: Fil
     """Look for all that there is. Where it is little, it is looked for once, and then read by its ids."""
     await db.execute(queries.room_to_count())
     if matching != FileFilter():
-        actor = await find_few(db, actor, matching)
-    file_ids = actor.looked.file_ids
-    blob_ids = None if file_ids is None else actor.looked.blob_ids
-    missions_found = await _missions_found(db, actor, matching, PageRequest(limit, count=True))
-    page = PageRequest(limit, count=file_ids is None)
-    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page)
-    rows = (await db.execute(queries.topics_found(actor, matching, limit=limit, blob_ids=blob_ids))).all()
-    total = files_found.total if file_ids is None else len(file_ids)
-    return missions_found, files_found.model_copy(update={"total": total}), _topics_of(rows)
+        actor = await find_few(db, actor, matching, sort=sort, limit=limit)
+    known = actor.looked.found
+    missions_found = await missions.list_found(db, actor, found=matching, sort=_LATEST, limit=limit, count=True)
+    if known is None:
+        files_found = await files.list_files(
+            db, actor, matching=matching, sort=sort, page=PageRequest(limit, count=True)
+        )
+    else:
+        files_found = await files.list_found(db, actor, found=matching, sort=sort, limit=limit)
+        files_found = files_found.model_copy(update={"total": known.file_count})
+    topics = queries.topics_found(asked_alike(actor, matching), limit=limit, of_blobs=known is not None)
+    rows = (await db.execute(topics, values(actor, matching))).all()
+    return missions_found, files_found, _topics_of(rows)
 
 
 async def _estimated(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, outlook: Outlook
 ) -> _Found:
     """Look for the first of very many; how many there are, and their topics, as seen from what was drawn by lot."""
-    topics = queries.topics_found(actor, matching, limit=limit, blob_ids=outlook.blob_ids)
-    rows = (await db.execute(topics)).all()
+    topics = queries.topics_found(asked_alike(actor, matching), limit=limit, of_blobs=True)
+    given = values(actor, matching) | {"found_blob_ids": outlook.blob_ids}
+    rows = (await db.execute(topics, given)).all()
     total = await missions.estimate_found(db, actor, matching)
-    # The last that is done in this transaction.
-    await db.execute(queries.walking())
-    missions_found = await _missions_found(db, actor, matching, PageRequest(limit))
-    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=PageRequest(limit))
+    missions_found = await missions.list_found(db, actor, found=matching, sort=_LATEST, limit=limit, count=False)
+    files_found = await files.list_found(db, actor, found=matching, sort=sort, limit=limit)
     return (
         missions_found.model_copy(update={"total": total}),
         files_found.model_copy(update={"total": outlook.estimate()}),
         _topics_of(rows, times=outlook.files / outlook.drawn),
     )
-
-
-async def _missions_found(db: Connection, actor: Actor, matching: FileFilter, page: PageRequest) -> Page[MissionRead]:
-    everywhere, latest = MissionFilter(), MissionSort.start_desc
-    return await missions.list_missions(db, actor, matching=everywhere, found=matching, sort=latest, page=page)
 
 
 def _topics_of(rows: Sequence[Row[Any]], times: float = 1) -> Page[TopicFound]:

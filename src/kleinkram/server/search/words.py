@@ -5,10 +5,12 @@ are named. What is left to be asked of each row is then little, and nothing at a
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
+    BindParameter,
     ColumnElement,
     CompoundSelect,
     Select,
@@ -26,14 +28,16 @@ from sqlalchemy import (
     union_all,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
+from sqlalchemy.types import TypeEngine
 
 from kleinkram.contract.errors import InvalidQuery
+from kleinkram.contract.names import name_key
 from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.looked import Said
+from kleinkram.server.access.looked import NONE_AT_ALL, Said
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection, among
-from kleinkram.server.search.globs import holds_word, key_holds_word
+from kleinkram.server.db import Connection, Written
+from kleinkram.server.search.globs import ESCAPE, containing
 from kleinkram.server.search.kept import may_have_topic
 from kleinkram.server.tables import file, mission, mission_topic, project, topic, topic_name
 
@@ -44,6 +48,8 @@ MOST_WORDS = 20
 _MOST = 500
 # Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
 _FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
+# To put a statement together takes longer than the database takes for most: so many are kept of each kind.
+KEPT = 64
 # A word without three letters or digits on end has no trigram to be looked up by.
 _LOOKED_UP = re.compile(r"[^\W_]{3}")
 # What JSON writes otherwise than it is.
@@ -73,6 +79,9 @@ def file_holds(actor: Actor, word: str) -> ColumnElement[bool]:
     said = actor.looked.of(word)
     in_file, in_mission = _in_file(said), _in_mission(actor, said)
     in_topics = _in_topics(said)
+    if in_mission and actor.looked.asks_missions:
+        # Asked for once of the mission around, and not with each of its files.
+        in_mission = [select(or_(*in_mission)).correlate(mission, project).scalar_subquery()]
     if word == actor.looked.led_by and (in_mission or in_topics):
         return file.c.id.in_(_looked_up(in_file, in_mission, in_topics))
     # The cheapest to look at first. Topics are looked at file by file: as a join, all of a common name would be read.
@@ -93,20 +102,74 @@ def mission_may_hold(actor: Actor, word: str) -> ColumnElement[bool] | None:
     return or_(false(), *_in_mission(actor, said), *in_topics)
 
 
+def in_general(words: Iterable[Said]) -> tuple[Said, ...]:
+    """Return what stands for any words of which as much is known: their values are given to a statement by name."""
+
+    def known(held: str | None) -> str | None:
+        return held if held is None or held == NONE_AT_ALL else "{...}"
+
+    return tuple(
+        Said(
+            f"word_{number}",
+            project_ids=known(said.project_ids),
+            mission_ids=known(said.mission_ids),
+            file_ids=known(said.file_ids),
+            topics=known(said.topics),
+            is_general=True,
+            is_escaped=_is_escaped(said),
+        )
+        for number, said in enumerate(words)
+    )
+
+
+def values_of(words: Iterable[Said]) -> dict[str, object]:
+    """Return the values of words, by the names that statements have for them where they stand `in_general`."""
+    values: dict[str, object] = {}
+    for number, said in enumerate(words):
+        each = {"text": containing(said.word), "key": containing(name_key(said.word)), "projects": said.project_ids}
+        each |= {"missions": said.mission_ids, "files": said.file_ids, "topics": said.topics}
+        values |= {f"word_{number}_{what}": value for what, value in each.items()}
+    return values
+
+
+def holds(column: ColumnElement[str], said: Said) -> ColumnElement[bool]:
+    """Return the condition that a text contains a word, in any case."""
+    return column.ilike(_given(said, "text", containing(said.word), column.type), escape=ESCAPE)
+
+
+def key_holds(column: ColumnElement[str], said: Said) -> ColumnElement[bool]:
+    """Return the condition that a column of name keys contains a word, in any case and Unicode form."""
+    return column.like(_given(said, "key", containing(name_key(said.word)), column.type), escape=ESCAPE)
+
+
+def _given(said: Said, what: str, value: str, kind: TypeEngine[Any]) -> BindParameter[Any]:
+    return bindparam(f"{said.word}_{what}", type_=kind) if said.is_general else bindparam(None, value, kind)
+
+
+def _named(column: ColumnElement[Any], said: Said, what: str, values: str) -> Conditions:
+    if values == NONE_AT_ALL:
+        return []
+    return [column == any_(_given(said, what, values, Written("UUID" if what != "topics" else "TEXT")))]
+
+
+def _is_escaped(said: Said) -> bool:
+    return said.is_escaped if said.is_general else _ESCAPED_IN_JSON.search(said.word) is not None
+
+
 def _in_file(said: Said) -> Conditions:
-    return _path_or_label_holds(said.word) if said.file_ids is None else _named(file.c.id, said.file_ids)
+    return _path_or_label_holds(said) if said.file_ids is None else _named(file.c.id, said, "files", said.file_ids)
 
 
 def _in_mission(actor: Actor, said: Said) -> Conditions:
     # All of it said of the mission's own columns, so that their indexes can be asked together.
     if said.project_ids is None:
-        named = select(project.c.id).where(key_holds_word(project.c.name_key, said.word)).correlate(None)
+        named = select(project.c.id).where(key_holds(project.c.name_key, said)).correlate(None)
         in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
     else:
-        in_project = _named(mission.c.project_id, said.project_ids)
+        in_project = _named(mission.c.project_id, said, "projects", said.project_ids)
     if said.mission_ids is not None:
-        return _named(mission.c.id, said.mission_ids) + in_project
-    says = _mission_says(actor, said.word)
+        return _named(mission.c.id, said, "missions", said.mission_ids) + in_project
+    says = _mission_says(said, whole=sees_whole_missions(actor))
     if actor.looked.goes_through_all:
         # Once of each mission, and not of each of its files.
         says = [mission.c.id.in_(select(mission.c.id).where(or_(*says)).correlate(None))]
@@ -115,14 +178,10 @@ def _in_mission(actor: Actor, said: Said) -> Conditions:
 
 def _in_topics(said: Said, name: ColumnElement[str] = topic.c.name) -> Conditions:
     if said.topics is not None:
-        return _named(name, said.topics)
+        return _named(name, said, "topics", said.topics)
     # Of all topics there are few names.
-    named = select(topic_name.c.name).where(holds_word(topic_name.c.name, said.word)).correlate(None)
+    named = select(topic_name.c.name).where(holds(topic_name.c.name, said)).correlate(None)
     return [name == any_(func.array(named.scalar_subquery()))]
-
-
-def _named(column: ColumnElement[Any], values: Sequence[object]) -> Conditions:
-    return [among(column, values)] if values else []
 
 
 def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Conditions) -> CompoundSelect[Any]:
@@ -135,25 +194,25 @@ def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Condition
     return union_all(*(each.correlate(None) for each in found))
 
 
-def _path_or_label_holds(word: str) -> Conditions:
+def _path_or_label_holds(said: Said) -> Conditions:
     # Most files have no label: to see that is quicker than to join none.
-    labelled = and_(func.cardinality(file.c.labels) > 0, holds_word(func.joined(file.c.labels), word))
-    return [key_holds_word(file.c.path_key, word), labelled]
+    labelled = and_(func.cardinality(file.c.labels) > 0, holds(func.joined(file.c.labels), said))
+    return [key_holds(file.c.path_key, said), labelled]
 
 
-def _mission_says(actor: Actor, word: str) -> Conditions:
-    named = key_holds_word(mission.c.name_key, word)
-    if not sees_whole_missions(actor):
+def _mission_says(said: Said, *, whole: bool) -> Conditions:
+    named = key_holds(mission.c.name_key, said)
+    if not whole:
         return [named]
     values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
     each = values.table_valued("value").render_derived(name="said")
     as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
     scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
-    in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
-    if not _ESCAPED_IN_JSON.search(word):
+    in_values: ColumnElement[bool] = select(each.c.value).where(holds(as_text, said), scalar).exists()
+    if not _is_escaped(said):
         # The whole as text has an index, and is quickly looked through; but it holds the names of fields too.
-        in_values = and_(holds_word(cast(mission.c.metadata, Text), word), in_values)
-    return [named, holds_word(mission.c.notes, word), in_values]
+        in_values = and_(holds(cast(mission.c.metadata, Text), said), in_values)
+    return [named, holds(mission.c.notes, said), in_values]
 
 
 def _blob_has_topic(condition: ColumnElement[bool]) -> ColumnElement[bool]:
@@ -166,16 +225,19 @@ async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[S
     asked = [*dict.fromkeys(words)]
     if not asked:
         return ()
-    seen = (await db.execute(_first_look(actor, asked))).one()._mapping
-    wanted: dict[str, ColumnElement[Any]] = {}
-    for number, word in enumerate(asked):
-        if has_index(word) and not _is_common(seen["files"], seen[f"files_{number}"], _FILES_DRAWN):
-            held = select(file.c.id).where(or_(*_path_or_label_holds(word)))
-            wanted[f"files_{number}"] = _first(f"files_{number}", held)
-        if has_index(word) and not _is_common(seen["missions"], seen[f"missions_{number}"], _MISSIONS_DRAWN):
-            said = select(mission.c.id).where(or_(*_mission_says(actor, word)))
-            wanted[f"missions_{number}"] = _first(f"missions_{number}", said)
-    found = (await db.execute(select(*wanted.values()))).one()._mapping if wanted else {}
+    said = tuple(map(Said, asked))
+    whole, general, values = sees_whole_missions(actor), in_general(said), values_of(said)
+    bounds = _FILES_DRAWN, _MISSIONS_DRAWN, _MOST
+    seen = (await db.execute(_first_look(general, *bounds, whole=whole), values)).one()._mapping
+    wanted = [
+        (kind, number)
+        for number, word in enumerate(asked)
+        for kind, drawn in (("files", _FILES_DRAWN), ("missions", _MISSIONS_DRAWN))
+        if has_index(word) and not _is_common(seen[kind], seen[f"{kind}_{number}"], drawn)
+    ]
+    found: Mapping[Any, Any] = {}
+    if wanted:
+        found = (await db.execute(_second_look(general, tuple(wanted), _MOST, whole=whole), values)).one()._mapping
     return tuple(
         Said(
             word,
@@ -188,16 +250,32 @@ async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[S
     )
 
 
-def _first_look(actor: Actor, words: Sequence[str]) -> Select[Any]:
+@lru_cache(maxsize=KEPT)
+def _first_look(words: Sequence[Said], files_drawn: int, missions_drawn: int, most: int, *, whole: bool) -> Select[Any]:
     """Return the projects and names of topics that hold each word, and how many of some files and missions do."""
-    files = _drawn("files", file.c.id, [or_(*_path_or_label_holds(word)) for word in words], _FILES_DRAWN)
-    missions = _drawn("missions", mission.c.id, [or_(*_mission_says(actor, word)) for word in words], _MISSIONS_DRAWN)
+    files = _drawn("files", file.c.id, [or_(*_path_or_label_holds(word)) for word in words], files_drawn)
+    says = [or_(*_mission_says(word, whole=whole)) for word in words]
+    missions = _drawn("missions", mission.c.id, says, missions_drawn)
     columns: list[ColumnElement[Any]] = [*files.c, *missions.c]
     for number, word in enumerate(words):
-        projects = select(project.c.id).where(key_holds_word(project.c.name_key, word))
-        topics = select(topic_name.c.name).where(holds_word(topic_name.c.name, word))
-        columns += [_first(f"projects_{number}", projects), _first(f"topics_{number}", topics)]
+        projects = select(project.c.id).where(key_holds(project.c.name_key, word))
+        topics = select(topic_name.c.name).where(holds(topic_name.c.name, word))
+        columns += [_first(f"projects_{number}", projects, most), _first(f"topics_{number}", topics, most)]
     return select(*columns).select_from(files.join(missions, true()))
+
+
+@lru_cache(maxsize=KEPT)
+def _second_look(words: Sequence[Said], wanted: Sequence[tuple[str, int]], most: int, *, whole: bool) -> Select[Any]:
+    """Return the files and missions that hold those words that are not common there."""
+    columns = []
+    for kind, number in wanted:
+        word = words[number]
+        if kind == "files":
+            held = select(file.c.id).where(or_(*_path_or_label_holds(word)))
+        else:
+            held = select(mission.c.id).where(or_(*_mission_says(word, whole=whole)))
+        columns.append(_first(f"{kind}_{number}", held, most))
+    return select(*columns)
 
 
 def _drawn(name: str, key: ColumnElement[Any], conditions: Conditions, most: int) -> Subquery:
@@ -208,16 +286,18 @@ def _drawn(name: str, key: ColumnElement[Any], conditions: Conditions, most: int
     return select(func.count().label(name), *hits).select_from(drawn).subquery()
 
 
-def _first(name: str, found: Select[Any]) -> ColumnElement[Any]:
+def _first(name: str, found: Select[Any], most: int) -> ColumnElement[Any]:
     # The select is planned as if all of it were wanted: with a limit of its own, the database would rather walk the
     # table until enough are met, and walk all of it where there are none.
     every = found.cte(f"every_{name}").prefix_with("MATERIALIZED")
-    return func.array(select(*every.c).limit(_MOST + 1).scalar_subquery()).label(name)
+    first = func.array(select(*every.c).limit(most + 1).scalar_subquery(), type_=ARRAY(Text))
+    return cast(first, Text).label(name)
 
 
 def _is_common(drawn: int, hits: int, most: int) -> bool:
     return drawn == most and hits * _COMMON >= most
 
 
-def _few(values: Sequence[Any] | None) -> tuple[Any, ...] | None:
-    return None if values is None or len(values) > _MOST else tuple(values)
+def _few(written: str | None) -> str | None:
+    # A name that holds a comma makes them seem more: what is not named is found as well.
+    return None if written is None or (written != NONE_AT_ALL and written.count(",") >= _MOST) else written
