@@ -2,7 +2,8 @@
 
 One append-only file an upload: a head line, then a line a part. A torn last line is ignored, so nothing needs undoing
 after a crash. The parts written here are a hint only: a part is skipped when its bytes, hashed again, still have the
-checksum written here and the store still has the etag. The file is locked: two processes never share one.
+checksum written here and the store still has the etag. The file is locked: two processes never share one. Small
+uploads of one run use each other's files, once these are empty again (`Spares`).
 """
 
 import fcntl
