@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import psycopg
+from pydantic_core import from_json
 from sqlalchemy import ARRAY, ColumnElement, any_, event, literal, make_url
 from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
@@ -102,6 +103,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         pool_timeout=_POOL_TIMEOUT_S,
         connect_args=arguments,
         hide_parameters=True,  # in the text of errors, which is logged
+        json_deserializer=from_json,  # five times as fast as Python's own: a page of missions has hundreds
     )
     event.listen(engine.sync_engine, "checkout", _see_that_it_is_quiet)
     return Database(engine, connections=settings.database_connections)

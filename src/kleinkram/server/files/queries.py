@@ -26,10 +26,7 @@ from sqlalchemy import (
     update,
 )
 
-from kleinkram.contract.files import FileFact, FileFilter, FileLoss, FileProblem, FileRead, FileSort
-from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.people import PersonRef
-from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.files import FileFilter, FileRead, FileSort
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
@@ -114,40 +111,13 @@ def _rows_of_all() -> Select[Any]:
 
 def to_file(row: Row[Any]) -> FileRead:
     """Return the file that a row of `file_rows` stands for."""
-    return FileRead(
-        id=row.id,
-        mission=MissionRef(
-            id=row.mission_id,
-            name=row.mission_name,
-            project=ProjectRef(id=row.project_id, name=row.project_name),
-        ),
-        path=row.path,
-        size_bytes=row.size_bytes,
-        state=row.state,
-        state_reason=row.state_reason,
-        content=row.content,
-        content_reason=row.content_reason,
-        format=row.format,
-        recording_id=row.recording_id,
-        sha256=_hex(row.sha256),
-        md5=_hex(row.md5),
-        crc64nvme=_hex(row.crc64nvme),
-        proven_at=row.proven_at,
-        damaged_at=row.damaged_at,
-        summarised_at=row.summarised_at,
-        labels=row.labels,
-        origin=row.origin,
-        uploaded_by=PersonRef(id=row.uploaded_by_id, name=row.uploaded_by_name),
-        created_at=row.created_at,
-        message_count=row.message_count,
-        start_ns=row.start_ns,
-        end_ns=row.end_ns,
-        compression=row.compression,
-        problems=[FileProblem(**problem) for problem in row.problems],
-        depth=row.depth,
-        lost=row.lost and FileLoss(**row.lost),
-        facts=[FileFact(**fact) for fact in row.facts],
-    )
+    said = row._asdict()  # at once: a row's attributes, one by one, take longer than all of the rest
+    in_project = {"id": said["project_id"], "name": said["project_name"]}
+    said["mission"] = {"id": said["mission_id"], "name": said["mission_name"], "project": in_project}
+    said["uploaded_by"] = {"id": said["uploaded_by_id"], "name": said["uploaded_by_name"]}
+    for name in ("sha256", "md5", "crc64nvme"):
+        said[name] = _hex(said[name])
+    return FileRead.model_validate(said)
 
 
 def _hex(digest: bytes | None) -> str | None:

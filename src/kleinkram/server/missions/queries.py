@@ -18,10 +18,8 @@ from sqlalchemy import (
     update,
 )
 
-from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
-from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
@@ -66,27 +64,17 @@ def rows_of_found(actor: Actor, mission_id: ColumnElement[uuid.UUID]) -> Select[
 
 def to_mission(row: Row[Any]) -> MissionRead:
     """Return the mission that a row of `mission_rows` stands for."""
-    file_count, size_bytes, message_count, pending = (int(number) for number in row.amounts)
-    return MissionRead(
-        id=row.id,
-        name=row.name,
-        project=ProjectRef(id=row.project_id, name=row.project_name),
-        metadata=row.metadata if row.is_whole else {},
-        metadata_yaml=row.metadata_yaml if row.is_whole else None,
-        metadata_problems=[FieldProblem(**problem) for problem in row.metadata_problems if row.is_whole],
-        notes=row.notes if row.is_whole else "",
-        completed_at=row.completed_at,
-        created_at=row.created_at,
-        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
-        start_ns=row.shown_start_ns,
-        end_ns=row.shown_end_ns,
-        file_count=file_count,
-        size_bytes=size_bytes,
-        message_count=message_count,
-        pending_file_count=pending,
-        recordings_current=row.derived_revision == row.files_revision,
-        right=Right.of_level(row.level),
-    )
+    said = row._asdict()  # at once: a row's attributes, one by one, take longer than all of the rest
+    said["project"] = {"id": said["project_id"], "name": said["project_name"]}
+    said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
+    if not said["is_whole"]:
+        said |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
+    amounts = (int(number) for number in said["amounts"])
+    said |= zip(("file_count", "size_bytes", "message_count", "pending_file_count"), amounts, strict=True)
+    said |= {"start_ns": said["shown_start_ns"], "end_ns": said["shown_end_ns"]}
+    said["recordings_current"] = said["derived_revision"] == said["files_revision"]
+    said["right"] = Right.of_level(said["level"])
+    return MissionRead.model_validate(said)
 
 
 def to_mission_ref(row: Row[Any]) -> MissionRef:

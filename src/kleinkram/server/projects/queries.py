@@ -6,8 +6,6 @@ from typing import Any
 from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, Update, func, literal, select, type_coerce, update
 from sqlalchemy.dialects.postgresql import array
 
-from kleinkram.contract.metadata import MetadataFields
-from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
@@ -68,29 +66,19 @@ def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
 
 def to_project(row: Row[Any]) -> ProjectRead:
     """Return the project that a row of `project_rows` stands for."""
-    mission_count, unsatisfied, file_count, size_bytes, duration_ns = (int(number) for number in row.contents)
-    upload_count, upload_bytes = (int(number) for number in row.uploads)
-    return ProjectRead(
-        id=row.id,
-        name=row.name,
-        description=row.description if row.is_whole else "",
-        metadata_fields=MetadataFields.model_validate(row.metadata_fields),
-        created_at=row.created_at,
-        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
-        mission_count=mission_count,
-        file_count=file_count,
-        size_bytes=size_bytes,
-        duration_ns=duration_ns,
-        unsatisfied_mission_count=unsatisfied,
-        is_public=row.is_public,
-        licence=row.licence,
-        citation=row.citation,
-        quota_bytes=row.quota_bytes if row.knows_drafts else None,
-        quota_files=row.quota_files if row.knows_drafts else None,
-        used_bytes=size_bytes + upload_bytes,
-        used_files=file_count + upload_count,
-        right=Right.of_level(row.level),
-    )
+    said = row._asdict()  # at once: a row's attributes, one by one, take longer than all of the rest
+    mission_count, unsatisfied, file_count, size_bytes, duration_ns = (int(number) for number in said["contents"])
+    upload_count, upload_bytes = (int(number) for number in said["uploads"])
+    if not said["is_whole"]:
+        said["description"] = ""
+    if not said["knows_drafts"]:
+        said |= {"quota_bytes": None, "quota_files": None}
+    said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
+    said |= {"mission_count": mission_count, "unsatisfied_mission_count": unsatisfied, "file_count": file_count}
+    said |= {"size_bytes": size_bytes, "duration_ns": duration_ns}
+    said |= {"used_bytes": size_bytes + upload_bytes, "used_files": file_count + upload_count}
+    said["right"] = Right.of_level(said["level"])
+    return ProjectRead.model_validate(said)
 
 
 def project_by_id(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
