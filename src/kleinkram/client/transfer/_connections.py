@@ -36,7 +36,7 @@ _TOGETHER_BYTES = 64 * 1024
 _STORES = 100
 _REQUEST = re.compile(r"PUT [!-~]+ HTTP/1\.1\r\n(?:[!-9;-~]+: [ -~]*\r\n)+\r\n")
 # An answer that is all there, and says that it has no body. Every other is read by `http.client`.
-_EMPTY_OK = re.compile(rb"HTTP/1\.1 200 [^\r\n]*\r\n(?:[!-~]+:[^\r\n]*\r\n)+\r\n")
+_EMPTY_OK = re.compile(rb"HTTP/1\.1 200 [^\r\n]*\r\n(?:[!-9;-~]+:[^\r\n]*\r\n)+\r\n")
 _LENGTH_0 = re.compile(rb"\r\ncontent-length: *0\r\n", re.IGNORECASE)
 _OTHERWISE = re.compile(rb"\r\n(?:transfer-encoding:|connection: *close)", re.IGNORECASE)
 _ETAG = re.compile(rb"\r\netag: *([^\r\n]*?) *\r\n", re.IGNORECASE)
