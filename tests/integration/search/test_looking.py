@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from kleinkram.server.search import kept, looking, words
+from kleinkram.server.missions import queries
+from kleinkram.server.search import few, kept, looking, words
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 from tests.integration.sample import Sample
@@ -100,7 +101,9 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
         assert not is_found()
         with monkeypatch.context() as patch:
             patch.setattr(kept, "MOST_KEPT_TOPICS", 1)
+            queries.page_of_found.cache_clear()  # which says how many that are
             assert is_found()
+        queries.page_of_found.cache_clear()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()
     finally:
@@ -148,7 +151,7 @@ def test_however_much_was_looked_up_the_same_is_found(
     spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch, name: str, value: int
 ) -> None:
     api, word = spread
-    monkeypatch.setattr(looking if name == "_FEW" else words, name, value)
+    monkeypatch.setattr(few if name == "_FEW" else words, name, value)
     monkeypatch.setattr(words, "_FILES_DRAWN", 5)
     monkeypatch.setattr(words, "_MISSIONS_DRAWN", 5)
     asked = ((word, 18, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
