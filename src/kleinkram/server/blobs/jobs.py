@@ -58,11 +58,9 @@ _Read = tuple[Found, RecordingSummary | SummaryFailed | None]
 @queue.task(name=Job.summarise_blob.value, retry=PATIENTLY, pass_context=True)
 async def summarise_blob(context: JobContext, ref: str) -> None:
     """Read what is in a recording, in a child process without credentials, and keep it."""
-    site = site_of(context)
-    blob_id = uuid.UUID(ref)
-    async with site.database.begin() as db:
-        row = await service.get_blob(db, blob_id)
-    if row is None or row.path is None or row.store_id != site.settings.store_id or row.depth == ReadDepth.scan:
+    site, blob_id = site_of(context), uuid.UUID(ref)
+    row = await _blob_here(site, blob_id)
+    if row is None or row.path is None or row.depth == ReadDepth.scan:
         return
     await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
     try:
@@ -77,6 +75,13 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     if summary.content is Content.pending:  # only the proof reads it: somebody may wait for that
         async with site.database.begin() as db:
             await hasten(db, Job.prove_blob, blob_id)
+
+
+async def _blob_here(site: Site, blob_id: uuid.UUID) -> Row[tuple[object, ...]] | None:
+    """Return a blob that is still wanted, and whose bytes are in this server's own store."""
+    async with site.database.begin() as db:
+        row = await service.get_blob(db, blob_id)
+    return row if row is not None and row.store_id == site.settings.store_id else None
 
 
 async def _keep_summary(site: Site, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
@@ -107,11 +112,9 @@ async def prove_blob(context: JobContext, ref: str) -> None:
 
     A child process without credentials reads along, and says what the whole of a recording holds.
     """
-    site = site_of(context)
-    blob_id = uuid.UUID(ref)
-    async with site.database.begin() as db:
-        row = await service.get_blob(db, blob_id)
-    if row is None or row.store_id != site.settings.store_id:
+    site, blob_id = site_of(context), uuid.UUID(ref)
+    row = await _blob_here(site, blob_id)
+    if row is None:
         return
     # What is only proven anew gives way from now on, whenever it came.
     anew = context.job.priority < Urgency.whenever
@@ -129,11 +132,9 @@ async def prove_blob(context: JobContext, ref: str) -> None:
 @queue.task(name=Job.examine_blob.value, retry=PATIENTLY, pass_context=True)
 async def examine_blob(context: JobContext, ref: str) -> None:
     """Read a small blob for all that is to be known of it, and with it others of the same person that wait."""
-    site = site_of(context)
-    blob_id = uuid.UUID(ref)
-    async with site.database.begin() as db:
-        row = await service.get_blob(db, blob_id)
-    if row is None or row.store_id != site.settings.store_id:
+    site, blob_id = site_of(context), uuid.UUID(ref)
+    row = await _blob_here(site, blob_id)
+    if row is None:
         return
     is_turn = await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
     until = time.monotonic() + (_TURN_S if is_turn else _AT_ONCE_S)
