@@ -126,6 +126,8 @@ def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> N
         assert "<script>" not in html
         assert "style=" not in html
         assert not re.search(r"\son\w+=", html)
+        buttons = re.findall(r"<button[^>]*>", html)
+        assert all(" disabled" in each for each in buttons), "pressed before the script is there, it would do nothing"
     assert "JSON" in Browser(api).get("/sign-in/static/sign-in.js").ok()
     Browser(api).get("/sign-in/static/..%2fpages.py").refused(404, "not_found")
     Browser(api).get("/sign-in/nothing").refused(404, "not_found")

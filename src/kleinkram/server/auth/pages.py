@@ -99,18 +99,20 @@ def _page(settings: Settings, title: str, name: str, body: str, *, status: int =
     return HTMLResponse(html, status_code=status, headers=HEADERS)
 
 
+# Buttons are disabled until the script is there: pressed before, one would do nothing, or send its form by itself.
 def _form(name: str, fields: str, button: str) -> str:
-    return f'<form method="post" data-form="{name}">{fields}<button class="primary">{escape(button)}</button></form>'
+    pressed = f'<button class="primary" disabled>{escape(button)}</button>'
+    return f'<form method="post" data-form="{name}">{fields}{pressed}</form>'
 
 
 def _provider_button(name: str, text: str) -> str:
-    return f'<button type="button" data-act="begin" data-provider="{escape(name)}">{escape(text)}</button>'
+    return f'<button type="button" disabled data-act="begin" data-provider="{escape(name)}">{escape(text)}</button>'
 
 
 def _decision() -> str:
     return (
         '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do all that you may do. '
         "Agree only if you started it yourself just now.</p>"
-        '<button type="button" class="primary" data-act="approve">Agree</button>'
-        '<button type="button" data-act="deny">Refuse</button></section>'
+        '<button type="button" class="primary" disabled data-act="approve">Agree</button>'
+        '<button type="button" disabled data-act="deny">Refuse</button></section>'
     )

@@ -33,15 +33,18 @@ async function ask(method, path, body) {
   return told;
 }
 
+function letPress(may) {
+  document.querySelectorAll("button").forEach((button) => (button.disabled = !may));
+}
+
 async function attempt(work) {
-  const buttons = document.querySelectorAll("button");
-  buttons.forEach((button) => (button.disabled = true));
+  letPress(false);
   try {
     await work();
   } catch (error) {
     say(error.message);
   }
-  buttons.forEach((button) => (button.disabled = false));
+  letPress(true);
 }
 
 async function whoIsHere() {
@@ -160,6 +163,7 @@ for (const form of document.querySelectorAll("form")) {
 for (const button of document.querySelectorAll("[data-act]")) {
   button.addEventListener("click", () => attempt(() => acts[button.dataset.act](button)));
 }
+letPress(true);
 if (location.origin !== document.body.dataset.origin) {
   say(`This server is reached at ${document.body.dataset.origin}. Open it there: signing in works at no other address.`);
 } else if (begin[page]) {
