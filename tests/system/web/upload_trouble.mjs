@@ -71,9 +71,11 @@ await page.evaluate(() => globalThis.dispatchEvent(new Event("focus")));
 await page.locator("[data-phase=running]").waitFor();
 await reaches(40);
 
-// Another tab uploads into the same mission.
+// Another tab uploads into the same mission, which must not be done before that tab is there.
+await slow(page, SLOW / 10);
 const mission = (await panel.getByRole("link", { name: "descent" }).getAttribute("href")).split("/").at(-1);
 const elsewhere = await context.newPage();
+elsewhere.setDefaultTimeout(PATIENCE_MS);
 await elsewhere.goto(`${address}/upload?mission=${mission}`);
 await elsewhere.locator("[data-unfinished]").waitFor();
 seen.other = await elsewhere.locator("[data-unfinished]").innerText();
