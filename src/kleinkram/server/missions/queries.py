@@ -69,8 +69,8 @@ def to_mission(row: Row[Any]) -> MissionRead:
     said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
     if not said["is_whole"]:
         said |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
-    amounts = (int(number) for number in said["amounts"])
-    said |= zip(("file_count", "size_bytes", "message_count", "pending_file_count"), amounts, strict=True)
+    numbers = (int(number) for number in said["amounts"])
+    said |= zip(("file_count", "size_bytes", "message_count", "pending_file_count"), numbers, strict=True)
     said |= {"start_ns": said["shown_start_ns"], "end_ns": said["shown_end_ns"]}
     said["recordings_current"] = said["derived_revision"] == said["files_revision"]
     said["right"] = Right.of_level(said["level"])
