@@ -54,7 +54,7 @@ def test_a_store_that_is_away_for_half_a_minute_is_waited_for(house: House, tmp_
     there = _file(tmp_path / "there.bin", 60 * MIB)
     terminal.run("upload", "-p", "p", "-m", "old", "--create", there)
     coming = _file(tmp_path / "coming.bin", 60 * MIB)
-    slowly = ["--limit-rate", "12MiB"]
+    slowly = ["--limit-rate", "5MiB"]  # neither is over before the other is half-way, however slow the machine
     back = tmp_path / "back"
     transfers = [
         terminal.start("upload", "-p", "p", "-m", "new", "--create", coming, *slowly),
