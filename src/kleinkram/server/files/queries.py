@@ -41,7 +41,7 @@ from kleinkram.server.db import among
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Order, PageRequest, page_of
 from kleinkram.server.search.asked import Asked
-from kleinkram.server.search.matching import narrow_files
+from kleinkram.server.search.matching import narrow_files, narrow_walked
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
@@ -157,8 +157,9 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
 @functools.lru_cache(maxsize=KEPT)
 def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
     """Return the first page of the visible files that match, as `to_file` reads them."""
-    found, order = matching_files(asked.actor, asked.matching), file_order(asked.actor, sort)
-    return page_of(found, order, PageRequest(limit), described=rows_of_found)
+    narrow = narrow_walked if asked.actor.looked.finds_many else narrow_files
+    found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
+    return page_of(found, file_order(asked.actor, sort), PageRequest(limit), described=rows_of_found)
 
 
 def file_order(actor: Actor, sort: FileSort) -> Order:

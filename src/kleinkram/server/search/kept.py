@@ -14,12 +14,13 @@ def may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
     Where this does not hold, none of its files has one, whoever asks. Where it holds, they have to be looked at: what
     is kept may be of a state that is over, or not whole.
     """
-    its_own = select(true()).where(mission_topic.c.mission_id == mission.c.id)
+    its_own = select(true()).where(mission_topic.c.mission_id == mission.c.id).correlate(mission)
     of_now = select(true()).where(
         mission_topics.c.mission_id == mission.c.id, mission_topics.c.revision == mission.c.files_revision
     )
+    of_now = of_now.correlate(mission)
     is_full = its_own.offset(MOST_KEPT_TOPICS - 1)
-    return or_(_is_there(its_own.where(*conditions)), ~_is_there(of_now), _is_there(is_full))
+    return or_(is_there(its_own.where(*conditions)), ~is_there(of_now), is_there(is_full))
 
 
 def where_it_may_be(may_be: Sequence[ColumnElement[bool]], found: ColumnElement[bool]) -> ColumnElement[bool]:
@@ -27,6 +28,9 @@ def where_it_may_be(may_be: Sequence[ColumnElement[bool]], found: ColumnElement[
     return case((and_(*may_be), found), else_=false()) if may_be else found
 
 
-def _is_there(found: Select[Any]) -> ColumnElement[bool]:
-    # With EXISTS, the database may well go through what is kept of all missions to look at a few.
-    return func.coalesce(found.limit(1).correlate(mission).scalar_subquery(), false())
+def is_there(found: Select[Any]) -> ColumnElement[bool]:
+    """Say whether a select finds a row, looked up for each row around it.
+
+    With EXISTS, the database may well go through all there are, to look at a few.
+    """
+    return func.coalesce(found.limit(1).scalar_subquery(), false())

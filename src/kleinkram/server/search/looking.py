@@ -108,13 +108,17 @@ def _tried(asked: Sequence[Asked], drawn: CTE) -> Select[Any]:
     """
     actor = asked[0].actor
     conditions = [and_(true(), *file_conditions(actor, each.matching)) for each in asked]
-    conditions += [file_holds(actor, word) for word in words_of(asked[0].matching.text)]
+    first, words = asked[0].matching, words_of(asked[0].matching.text)
+    # A filter that is one word is not tried twice.
+    is_word = len(words) == 1 and first == FileFilter(text=first.text)
+    conditions += [] if is_word else [file_holds(actor, word) for word in words]
     holding = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
     seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
     tried = seen.with_only_columns(*holding, file.c.start_ns, file.c.blob_id, maintain_column_froms=True)
     # With a limit the database tries each once, and not for each of the numbers anew.
     each = tried.limit(DRAWN).subquery()
     held = [each.c[condition.name] for condition in holding]
+    held += held[:1] if is_word else []
     return select(
         *(func.count().filter(condition) for condition in held),
         func.count().filter(held[0], each.c.start_ns.is_not(None)).label("timed"),

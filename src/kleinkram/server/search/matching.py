@@ -1,7 +1,7 @@
 """What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
 
 import datetime
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from unicodedata import normalize
@@ -42,7 +42,15 @@ from kleinkram.server.db import Written
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
 from kleinkram.server.search.kept import may_have_topic, where_it_may_be
 from kleinkram.server.search.where import condition
-from kleinkram.server.search.words import file_holds, holds, mission_holds, mission_may_hold, words_of
+from kleinkram.server.search.words import (
+    blob_has_topic,
+    file_holds,
+    holds,
+    is_named,
+    mission_holds,
+    mission_may_hold,
+    words_of,
+)
 from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
 
 Conditions = list[ColumnElement[bool]]
@@ -96,6 +104,26 @@ def narrow_files(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Selec
         InvalidQuery: a `where` cannot be used.
     """
     return stmt.where(*file_conditions(actor, matching))
+
+
+def narrow_walked(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
+    """Return the files of a select that match, to be walked in their order until enough are met.
+
+    What is asked of their missions is asked once of each, and not with each of its files: there may be thousands.
+
+    Raises:
+        InvalidQuery: a `where` cannot be used.
+    """
+    words, may_hold = [*dict.fromkeys(words_of(matching.text))], _may_hold(actor, matching)
+    if not may_hold and all(is_named(actor, word) for word in words):
+        return narrow_files(actor, stmt, matching)
+    said = [mission_holds(actor, word).label(f"holds_{number}") for number, word in enumerate(words)]
+    asked = select(and_(true(), *may_hold).label("may_hold"), *said)
+    # Behind a fence, and joined from outside: nothing of the file is asked with it, so the database keeps the answer.
+    around = asked.where(mission.c.id == file.c.mission_id).correlate(file).offset(0).lateral("around")
+    in_mission = dict(zip(words, (around.c[each.name] for each in said), strict=True))
+    held = where_it_may_be([around.c.may_hold], and_(true(), *_held_conditions(actor, matching, in_mission)))
+    return stmt.outerjoin(around, true()).where(*_own_conditions(actor, matching), held)
 
 
 def narrow_missions_found(actor: Actor, stmt: Select[Any], matching: FileFilter) -> Select[Any]:
@@ -159,6 +187,11 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     """
     if actor.looked.found is not None:
         return [file.c.id == any_(_found(actor.looked.found, "file_ids"))]
+    return _own_conditions(actor, matching) + _held_conditions(actor, matching)
+
+
+def _own_conditions(actor: Actor, matching: FileFilter) -> Conditions:
+    """Return all that a filter says but for words and topics."""
     _refuse_metadata(actor, matching)
     conditions = _place(matching) + _span(matching, file.c.start_ns, blob.c.end_ns) + _begun(matching)
     conditions += _bytes(matching)
@@ -173,10 +206,18 @@ def file_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]
-    conditions += _words(matching.text, lambda word: file_holds(actor, word))
-    if matching.topic or matching.message_type:
-        conditions.append(_blob_has_topic(*_topic_conditions(matching)))
     return conditions + [_fails(file_conditions(actor, parse_term(term))) for term in matching.without]
+
+
+def _held_conditions(
+    actor: Actor, matching: FileFilter, in_mission: Mapping[str, ColumnElement[bool]] | None = None
+) -> Conditions:
+    """Return what a filter says of words and topics; in a walk, `in_mission` says which words the mission holds."""
+    held = {} if in_mission is None else in_mission
+    conditions = _words(matching.text, lambda word: file_holds(actor, word, held.get(word)))
+    if matching.topic or matching.message_type:
+        conditions.append(blob_has_topic(*_topic_conditions(matching), one_by_one=in_mission is not None))
+    return conditions
 
 
 def _found(found: Found, what: str) -> ColumnElement[Any]:
@@ -284,11 +325,6 @@ def _labelled(labels: Sequence[str]) -> ColumnElement[bool]:
     held = type_coerce(file.c.labels, ARRAY(Text))
     any_of: ColumnElement[bool] = held.overlap([normalize("NFC", label) for label in labels])
     return any_of
-
-
-def _blob_has_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
-    # Its own look at the topics, even where the statement around it lists topics too.
-    return select(topic.c.id).where(topic.c.blob_id == file.c.blob_id, *conditions).correlate(file).exists()
 
 
 def _mission_has_topic(conditions: Sequence[ColumnElement[bool]]) -> ColumnElement[bool]:

@@ -38,7 +38,7 @@ from kleinkram.server.access.looked import NONE_AT_ALL, Said
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection, Written
 from kleinkram.server.search.globs import ESCAPE, containing
-from kleinkram.server.search.kept import may_have_topic
+from kleinkram.server.search.kept import is_there, may_have_topic
 from kleinkram.server.tables import file, mission, mission_topic, project, topic, topic_name
 
 Conditions = list[ColumnElement[bool]]
@@ -74,23 +74,36 @@ def has_index(word: str) -> bool:
     return _LOOKED_UP.search(word) is not None
 
 
-def file_holds(actor: Actor, word: str) -> ColumnElement[bool]:
-    """Return the condition that a file holds a word: in path or labels, topics, its mission or project."""
+def file_holds(actor: Actor, word: str, in_its_mission: ColumnElement[bool] | None = None) -> ColumnElement[bool]:
+    """Return the condition that a file holds a word: in path or labels, topics, its mission or project.
+
+    In a walk, `in_its_mission` says whether the latter two hold it.
+    """
     said = actor.looked.of(word)
-    in_file, in_mission = _in_file(said), _in_mission(actor, said)
+    in_file = _in_file(said)
+    in_mission = _in_mission(actor, said) if in_its_mission is None else [in_its_mission]
     in_topics = _in_topics(said)
     if in_mission and actor.looked.asks_missions:
         # Asked for once of the mission around, and not with each of its files.
         in_mission = [select(or_(*in_mission)).correlate(mission, project).scalar_subquery()]
     if word == actor.looked.led_by and (in_mission or in_topics):
         return file.c.id.in_(_looked_up(in_file, in_mission, in_topics))
-    # The cheapest to look at first. Topics are looked at file by file: as a join, all of a common name would be read.
-    return or_(false(), *in_file, *in_mission, *(_blob_has_topic(each).is_(true()) for each in in_topics))
+    is_walked = in_its_mission is not None
+    # As a join, all topics of a common name would be read.
+    has_topic = [blob_has_topic(each, one_by_one=is_walked).is_(true()) for each in in_topics]
+    # The cheapest to look at first.
+    return or_(false(), *in_file, *in_mission, *has_topic)
 
 
 def mission_holds(actor: Actor, word: str) -> ColumnElement[bool]:
     """Return the condition that a mission holds a word itself: in its name or project's, its notes or metadata."""
     return or_(false(), *_in_mission(actor, actor.looked.of(word)))
+
+
+def is_named(actor: Actor, word: str) -> bool:
+    """Say whether the missions and projects that hold a word are known by their ids."""
+    said = actor.looked.of(word)
+    return said.mission_ids is not None and said.project_ids is not None
 
 
 def mission_may_hold(actor: Actor, word: str) -> ColumnElement[bool] | None:
@@ -215,9 +228,11 @@ def _mission_says(said: Said, *, whole: bool) -> Conditions:
     return [named, holds(mission.c.notes, said), in_values]
 
 
-def _blob_has_topic(condition: ColumnElement[bool]) -> ColumnElement[bool]:
+def blob_has_topic(*conditions: ColumnElement[bool], one_by_one: bool = False) -> ColumnElement[bool]:
+    """Say of each `file` whether conditions hold of one of its topics; `one_by_one` where few files are looked at."""
     # Its own look at the topics, even where the statement around it lists topics too.
-    return select(topic.c.id).where(topic.c.blob_id == file.c.blob_id, condition).correlate(file).exists()
+    its_topics = select(true()).where(topic.c.blob_id == file.c.blob_id, *conditions).correlate(file)
+    return is_there(its_topics) if one_by_one else its_topics.exists()
 
 
 async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[Said, ...]:
