@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from kleinkram.server.missions import queries
+from kleinkram.server.files import queries as file_queries
+from kleinkram.server.missions import queries as mission_queries
 from kleinkram.server.search import few, kept, looking, words
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
@@ -89,7 +90,10 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
     def is_found() -> bool:
         found = full.get("/search", {"query": query}).ok()
         assert not found["is_whole"]
-        return str(mission_id) in {each["id"] for each in found["missions"]["items"]}
+        in_missions = {each["id"] for each in found["missions"]["items"]}
+        in_files = {each["mission"]["id"] for each in found["files"]["items"]}
+        assert (str(mission_id) in in_missions) == (str(mission_id) in in_files)
+        return str(mission_id) in in_missions
 
     assert is_found()  # nothing is kept
     full.sql("INSERT INTO mission_topics VALUES (%s, 0, '{}', 1)", mission_id)
@@ -101,14 +105,34 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
         assert not is_found()
         with monkeypatch.context() as patch:
             patch.setattr(kept, "MOST_KEPT_TOPICS", 1)
-            queries.page_of_found.cache_clear()  # which says how many that are
+            _forget_statements()  # which say how many that are
             assert is_found()
-        queries.page_of_found.cache_clear()
+        _forget_statements()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()
     finally:
         full.sql("DELETE FROM mission_topics WHERE mission_id = %s", mission_id)
         full.sql("UPDATE mission SET files_revision = 0 WHERE id = %s", mission_id)
+
+
+def _forget_statements() -> None:
+    mission_queries.page_of_found.cache_clear()
+    file_queries.page_of_found.cache_clear()
+
+
+@pytest.mark.parametrize("sort", ["start", "-start", "created", "-created"])
+@pytest.mark.parametrize("asked", [{"topic": "/imu"}, {"topic": "/imu", "text": "drive_1"}, {"topic": "/gps"}])
+def test_a_list_by_topic_is_the_same_whether_or_not_it_is_walked(
+    full: Api, monkeypatch: pytest.MonkeyPatch, sort: str, asked: dict[str, str]
+) -> None:
+    query = {**asked, "sort": sort, "limit": "25"}
+    looked_up = [each["id"] for each in full.all("/files", query)]
+    monkeypatch.setattr(looking, "_MANY_TOPICS", 50)
+    with full.statements() as statements:
+        walked = [each["id"] for each in full.all("/files", query)]
+    assert walked == looked_up
+    assert any("LATERAL" in each for each in statements) == (asked["topic"] == "/imu")
+    assert len(walked) == {"/imu": 30 if "text" in asked else _FILES, "/gps": 0}[asked["topic"]]
 
 
 @pytest.mark.parametrize(("path", "query"), _LISTS)

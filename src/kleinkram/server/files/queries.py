@@ -144,9 +144,9 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     return stmt if actor.run_id is None else stmt.where(false())
 
 
-def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
-    """Return the visible files that match, to be counted or read."""
-    return narrow_files(actor, visible_files(actor), matching)
+def matching_files(actor: Actor, matching: FileFilter, *, walked: bool = False) -> Select[Any]:
+    """Return the visible files that match, to be counted or read; or to be `walked` in their order, as very many do."""
+    return (narrow_walked if walked else narrow_files)(actor, visible_files(actor), matching)
 
 
 def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching: FileFilter) -> Select[Any]:
@@ -157,8 +157,7 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
 @functools.lru_cache(maxsize=KEPT)
 def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
     """Return the first page of the visible files that match, as `to_file` reads them."""
-    narrow = narrow_walked if asked.actor.looked.finds_many else narrow_files
-    found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
+    found = matching_files(asked.actor, asked.matching, walked=asked.actor.looked.finds_many)
     return page_of(found, file_order(asked.actor, sort), PageRequest(limit), described=rows_of_found)
 
 

@@ -37,12 +37,14 @@ from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_page, pl
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.asked import asked_alike, values
+from kleinkram.server.search.looking import meets_many
 from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
+_BY_TIME = {FileSort.start, FileSort.start_desc, FileSort.created, FileSort.created_desc}
 # Among the files of so many missions the first page is looked for.
 _MISSIONS_AHEAD = 64
 _FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
@@ -87,8 +89,9 @@ async def list_files(
     rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
     if rows is None:
         actor = await knowing_few(db, actor)
-        found, order = queries.matching_files(actor, matching), queries.file_order(actor, sort)
-        rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
+        is_walk = sort in _BY_TIME and not page.count and matching.mission_id is None and actor.few_mission_ids is None
+        found = queries.matching_files(actor, matching, walked=is_walk and await meets_many(db, matching))
+        rows = await fetch_page(db, found, queries.file_order(actor, sort), page, described=queries.rows_of_found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 

@@ -12,20 +12,22 @@ from typing import Any
 from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func, select, true
 
 from kleinkram.contract.files import FileFilter
+from kleinkram.contract.query.keys import is_glob
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import NONE_AT_ALL, Looked
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.search.asked import Asked, asked_alike, values
 from kleinkram.server.search.matching import file_conditions
 from kleinkram.server.search.words import KEPT, file_holds, has_index, look_up, words_of
-from kleinkram.server.tables import file, mission
+from kleinkram.server.tables import file, mission, topic
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
 DRAWN, MANY = 500, 10
 # Where each word by itself is in many, no index leads to the files that hold them all: these are then many sooner.
 _MANY_TOGETHER = 3
 _MISSIONS_DRAWN = 100
+_MANY_TOPICS = 5_000
 _IDS = 2**128
 
 
@@ -134,6 +136,15 @@ def walking() -> ColumnElement[str]:
     Of very many that match, the first are soon met so; of words together the database expects too few for that.
     """
     return func.set_config("enable_sort", "off", True).label("walking")
+
+
+async def meets_many(db: Connection, matching: FileFilter) -> bool:
+    """Say whether a list of files with certain topics is best walked: so many have them that it soon meets some."""
+    column, names = (topic.c.name, matching.topic) if matching.topic else (topic.c.message_type, matching.message_type)
+    if not names or any(map(is_glob, names)):
+        return False
+    some = select(topic.c.blob_id).where(among(column, names)).limit(_MANY_TOPICS).subquery()
+    return (await db.execute(select(func.count()).select_from(some))).scalar_one() == _MANY_TOPICS
 
 
 def drawn_missions() -> CTE:
