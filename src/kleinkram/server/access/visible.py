@@ -69,12 +69,8 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
 
 def missions_by_project(actor: Actor) -> Select[Any]:
     """Return what `visible_missions` does, to be walked project by project: it is looked up once what is granted."""
-    on_project = _my_projects(actor.person_id, Right.read)
-    on_mission = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
-    # Otherwise the database takes it to be looked up with each project, and reads everything before it sorts.
-    granted = or_(mission.c.project_id.in_(_once(on_project)), mission.c.id.in_(_once(on_mission)))
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_missions().where(*live, _reaches_mission(actor, Right.read, granted))
+    return joined_missions().where(*live, _reaches_mission(actor, Right.read, _granted_once(actor)))
 
 
 def count_missions(actor: Actor) -> Select[Any]:
@@ -90,6 +86,13 @@ def count_missions(actor: Actor) -> Select[Any]:
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     return joined_files().where(file_is_visible(actor, right))
+
+
+def files_by_time(actor: Actor) -> Select[Any]:
+    """Return what `visible_files` does, to be walked by time: it is looked up once what is granted."""
+    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
+    reached = _reaches_mission(actor, Right.read, _granted_once(actor))
+    return joined_files().where(*live, reached, shown_files(actor))
 
 
 def file_is_visible(actor: Actor, right: Right = Right.read) -> ColumnElement[bool]:
@@ -373,6 +376,14 @@ def _lasting(until: datetime.datetime | None) -> Still:
     if until is None:
         return lambda expires_at: expires_at.is_(None)
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
+
+
+def _granted_once(actor: Actor) -> ColumnElement[bool]:
+    """Say so of each `mission`, where few of very many are soon met in their order."""
+    on_project = _my_projects(actor.person_id, Right.read)
+    on_mission = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
+    # Otherwise the database takes it to be looked up with each row, and reads everything before it sorts.
+    return or_(mission.c.project_id.in_(_once(on_project)), mission.c.id.in_(_once(on_mission)))
 
 
 def _once(found: Select[Any] | CompoundSelect[Any]) -> Select[Any]:

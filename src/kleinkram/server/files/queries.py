@@ -31,6 +31,7 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     file_is_visible,
+    files_by_time,
     files_of_seen,
     joined_files,
     missions_by_project,
@@ -144,9 +145,14 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     return stmt if actor.run_id is None else stmt.where(false())
 
 
-def matching_files(actor: Actor, matching: FileFilter, *, walked: bool = False) -> Select[Any]:
-    """Return the visible files that match, to be counted or read; or to be `walked` in their order, as very many do."""
-    return (narrow_walked if walked else narrow_files)(actor, visible_files(actor), matching)
+def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
+    """Return the visible files that match, to be counted or read."""
+    return narrow_files(actor, visible_files(actor), matching)
+
+
+def matching_by_time(actor: Actor, matching: FileFilter, *, finds_many: bool) -> Select[Any]:
+    """Return the same to be read in the order of time: nothing is looked up of more than are met on the way."""
+    return (narrow_walked if finds_many else narrow_files)(actor, files_by_time(actor), matching)
 
 
 def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching: FileFilter) -> Select[Any]:
@@ -157,7 +163,8 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
 @functools.lru_cache(maxsize=KEPT)
 def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
     """Return the first page of the visible files that match, as `to_file` reads them."""
-    found = matching_files(asked.actor, asked.matching, walked=asked.actor.looked.finds_many)
+    narrow = narrow_walked if asked.actor.looked.finds_many else narrow_files
+    found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
     return page_of(found, file_order(asked.actor, sort), PageRequest(limit), described=rows_of_found)
 
 

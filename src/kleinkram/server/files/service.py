@@ -88,9 +88,12 @@ async def list_files(
         return listed.model_copy(update={"total": total})
     rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
     if rows is None:
-        actor = await knowing_few(db, actor)
-        is_walk = sort in _BY_TIME and not page.count and matching.mission_id is None and actor.few_mission_ids is None
-        found = queries.matching_files(actor, matching, walked=is_walk and await meets_many(db, matching))
+        if matching.mission_id is None:
+            actor = await knowing_few(db, actor)
+        if sort in _BY_TIME and not page.count and matching.mission_id is None and actor.few_mission_ids is None:
+            found = queries.matching_by_time(actor, matching, finds_many=await meets_many(db, matching))
+        else:
+            found = queries.matching_files(actor, matching)
         rows = await fetch_page(db, found, queries.file_order(actor, sort), page, described=queries.rows_of_found)
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
