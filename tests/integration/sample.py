@@ -35,7 +35,7 @@ class Sample:
 
     def blob(self, **given: Any) -> str:
         """Put a blob; returns its id."""
-        blob_id = str(uuid.uuid4())
+        blob_id = str(given.get("id", uuid.uuid4()))
         values = {
             "id": blob_id,
             "key": f"blobs/{blob_id}",

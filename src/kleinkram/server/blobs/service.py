@@ -2,12 +2,13 @@
 
 import datetime
 import math
+import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import Row, bindparam, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, bindparam, delete, func, insert, select, true, update
 
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
@@ -25,6 +26,8 @@ from kleinkram.server.sets import given
 from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
+# Where there are more blobs, a round of the sweep looks at its share of them: the rounds of four hours look at all.
+_ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 24, 600
 
 
 async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
@@ -251,7 +254,7 @@ async def _record_of_files(
 
 
 async def doom_unreferenced(db: Connection, *, limit: int) -> int:
-    """Mark blobs that no file refers to, in the trash or out of it; return how many.
+    """Mark blobs that no file refers to, in the trash or out of it; return how many. Of very many, those in turn.
 
     First the candidates are locked, then looked at again: a file that was linked in between, under the lock that
     linking takes too, saves its blob.
@@ -259,7 +262,7 @@ async def doom_unreferenced(db: Connection, *, limit: int) -> int:
     referred = queries.is_referred()
     candidates = (
         select(blob.c.id)
-        .where(blob.c.doomed_at.is_(None), ~referred)
+        .where(blob.c.doomed_at.is_(None), ~referred, await _in_turn(db))
         .order_by(blob.c.id)
         .limit(limit)
         .with_for_update(skip_locked=True)
@@ -269,6 +272,20 @@ async def doom_unreferenced(db: Connection, *, limit: int) -> int:
         return 0
     result = await db.execute(update(blob).where(blob.c.id.in_(ids), ~referred).values(doomed_at=func.now()))
     return result.rowcount
+
+
+async def _in_turn(db: Connection) -> ColumnElement[bool]:
+    """Say of blobs whether it is their turn to be looked at; ids are random, so each round has as many."""
+    others = select(blob.c.id).order_by(blob.c.id).offset(_ALL_AT_ONCE).limit(1)
+    if (await db.execute(others)).first() is None:
+        return true()
+    turn = _turn()
+    first, following = (2**128 * number // _ROUNDS for number in (turn, turn + 1))
+    return blob.c.id.between(uuid.UUID(int=first), uuid.UUID(int=following - 1))
+
+
+def _turn() -> int:
+    return int(time.time()) // _ROUND_S % _ROUNDS
 
 
 async def doomed_blobs(db: Connection, *, store_id: str, grace_s: float, limit: int) -> Sequence[Row[Any]]:

@@ -1,0 +1,51 @@
+"""Blobs that nothing refers to are doomed: all at once, or, of very many, each in its turn."""
+
+import uuid
+
+import pytest
+
+from kleinkram.server.blobs import service
+from kleinkram.server.site import Site
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.running import Api
+from tests.integration.sample import Sample
+
+_ORPHANS = 100
+
+
+async def _doom(site: Site) -> int:
+    async with site.database.begin() as db:
+        return await service.doom_unreferenced(db, limit=1000)
+
+
+def _doomed(api: Api) -> set[str]:
+    return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE doomed_at IS NOT NULL")}
+
+
+def test_of_very_many_each_has_its_turn(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    api = start_api()
+    sample = Sample(api)
+    mission_id = api.mission(api.project()["id"])["id"]
+    kept = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
+    orphans = {sample.blob() for _ in range(_ORPHANS)}
+    # The first and the last ids there are, and those on both sides of where one turn ends.
+    edge = 2**128 // service._ROUNDS
+    orphans |= {sample.blob(id=str(uuid.UUID(int=number))) for number in (0, edge - 1, edge, 2**128 - 1)}
+    monkeypatch.setattr(service, "_ALL_AT_ONCE", 10)
+    counts = []
+    for turn in range(service._ROUNDS):
+        monkeypatch.setattr(service, "_turn", lambda turn=turn: turn)
+        counts.append(on_site(api, _doom))
+    assert _doomed(api) == orphans
+    assert sum(counts) == len(orphans)
+    assert max(counts) < len(orphans) / 3
+    assert len(api.all("/files", {"mission_id": mission_id})) == len(kept)
+
+
+def test_of_few_all_are_looked_at(start_api: StartApi) -> None:
+    api = start_api()
+    orphans = {Sample(api).blob() for _ in range(10)}
+    assert on_site(api, _doom) == len(orphans)
+    assert _doomed(api) == orphans
+    assert 0 <= service._turn() < service._ROUNDS
