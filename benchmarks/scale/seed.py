@@ -66,6 +66,8 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
             for name, check, statement, values in _steps()
             if database.execute(check.encode(), {**given, **values}).fetchone() is None
         ]
+        if owner_url is None and _noted(database):
+            raise SystemExit("indexes were set aside by a call that was interrupted: give OWNER_URL, to have them made")
         if owner_url is not None and left:
             _set_indexes_aside(owner_url)
         for name, statement, values in left:
@@ -82,16 +84,20 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
 def _set_indexes_aside(owner_url: str) -> None:
     """Drop the costly indexes of the tables with most rows; what they were is noted."""
     with psycopg.connect(owner_url) as database:
-        database.execute("CREATE TABLE IF NOT EXISTS seed_index (definition text)")
+        database.execute("CREATE TABLE IF NOT EXISTS seed_index (definition text PRIMARY KEY)")
         for name, definition in database.execute(_COSTLY).fetchall():
-            database.execute("INSERT INTO seed_index VALUES (%s)", [definition])
+            database.execute("INSERT INTO seed_index VALUES (%s) ON CONFLICT DO NOTHING", [definition])
             database.execute(sql.SQL("DROP INDEX {}").format(sql.Identifier(name)))
+
+
+def _noted(database: psycopg.Connection) -> bool:
+    return database.execute("SELECT FROM pg_tables WHERE tablename = 'seed_index'").fetchone() is not None
 
 
 def _make_indexes(owner_url: str, told: Say) -> None:
     """Make the indexes again that were set aside, by this call or by one that was interrupted."""
     with psycopg.connect(owner_url, autocommit=True) as database:
-        if database.execute("SELECT FROM pg_tables WHERE tablename = 'seed_index'").fetchone() is None:
+        if not _noted(database):
             return
         database.execute("SET maintenance_work_mem = '1GB'")
         for (definition,) in database.execute("SELECT definition FROM seed_index").fetchall():

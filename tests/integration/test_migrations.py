@@ -12,6 +12,12 @@ from kleinkram.server.migrations import HEAD, alembic_config
 from tests.stack import RunningPostgres
 
 
+_WORDS = """
+SELECT index.relname, index.reloptions::text FROM pg_class index JOIN pg_am ON pg_am.oid = index.relam
+  WHERE amname = 'gin' AND index.relnamespace = 'public'::regnamespace
+"""
+
+
 @pytest.fixture(name="database", scope="module")
 def _database(postgres: RunningPostgres) -> str:
     name = postgres.create_database()
@@ -35,6 +41,12 @@ def test_models_and_migrations_agree(postgres: RunningPostgres, database: str) -
     command.check(alembic_config(url, "kleinkram_serve"))  # raises where they differ
     with psycopg.connect(postgres.serve_url(database)) as connection:
         assert connection.execute("SELECT count(*) FROM alembic_version").fetchone() == (1,)
+
+
+def test_what_an_index_of_words_has_not_taken_in_yet_is_soon_read(postgres: RunningPostgres, database: str) -> None:
+    found = postgres.sql(_WORDS, database=database)
+    assert len(found) == 8
+    assert {options for _, options in found} == {"{gin_pending_list_limit=256}"}, found
 
 
 def test_the_newest_revision_is_the_one_written_down() -> None:

@@ -115,7 +115,7 @@ def test_files_walked_by_time(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None
         visible = sorted(file.id for file in _visible_files(lab, eye))
         for asked in ({}, {"message_type": "std_msgs/String"}):
             with lab.api.statements() as statements:
-                assert _ids(api.all("/files", {"sort": "start", "limit": "50", **asked})) == visible, (eye, asked)
+                assert _ids(api.all("/files", {"sort": "-start", "limit": "50", **asked})) == visible, (eye, asked)
             assert any("LATERAL" in each for each in statements) == bool(asked and visible)
 
 

@@ -90,16 +90,18 @@ def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
 
 def files_by_time(actor: Actor) -> Select[Any]:
     """Return what `visible_files` does, to be walked by time: it is looked up once what is granted."""
-    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    reached = _reaches_mission(actor, Right.read, _granted_once(actor))
-    return joined_files().where(*live, reached, shown_files(actor))
+    return joined_files().where(_is_visible(actor, Right.read, _granted_once(actor)))
 
 
 def file_is_visible(actor: Actor, right: Right = Right.read) -> ColumnElement[bool]:
     """Say of each `file` of `joined_files` whether it is one of `visible_files`."""
-    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    visible = and_(*live, _reaches_file(actor, right))
+    visible = _is_visible(actor, right)
     return visible if actor.few_mission_ids is None else visible & among(file.c.mission_id, actor.few_mission_ids)
+
+
+def _is_visible(actor: Actor, right: Right, granted: ColumnElement[bool] | None = None) -> ColumnElement[bool]:
+    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
+    return and_(*live, _reaches_mission(actor, right, granted), shown_files(actor))
 
 
 def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:

@@ -26,8 +26,9 @@ from kleinkram.server.sets import given
 from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
-# Where there are more blobs, a round of the sweep looks at its share of them: the rounds of four hours look at all.
-_ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 24, 600
+# Where there are more blobs, a round of the sweep looks at its share of them: the rounds of four hours look at all. A
+# prime number: rounds that are late, each as much as the other, still come to every share.
+_ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 23, 600
 
 
 async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:

@@ -48,6 +48,7 @@ from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
+_WALKS = {FileSort.start_desc, FileSort.created, FileSort.created_desc}
 # Of what came of a file, so much is said when it is deleted.
 _MOST_MADE = 100
 
@@ -150,9 +151,14 @@ def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
     return narrow_files(actor, visible_files(actor), matching)
 
 
-def matching_by_time(actor: Actor, matching: FileFilter, *, finds_many: bool) -> Select[Any]:
-    """Return the same to be read in the order of time: nothing is looked up of more than are met on the way."""
+def matching_walked(actor: Actor, matching: FileFilter, *, finds_many: bool) -> Select[Any]:
+    """Return the same where a list `is_walk`: nothing is looked up of more than are met on the way."""
     return (narrow_walked if finds_many else narrow_files)(actor, files_by_time(actor), matching)
+
+
+def is_walk(sort: FileSort) -> bool:
+    """Say of an order whether an index has it, so that a list stops where its page is full."""
+    return sort in _WALKS
 
 
 def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching: FileFilter) -> Select[Any]:
@@ -163,7 +169,7 @@ def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching
 @functools.lru_cache(maxsize=KEPT)
 def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
     """Return the first page of the visible files that match, as `to_file` reads them."""
-    narrow = narrow_walked if asked.actor.looked.finds_many else narrow_files
+    narrow = narrow_walked if asked.actor.looked.finds_many and is_walk(sort) else narrow_files
     found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
     return page_of(found, file_order(asked.actor, sort), PageRequest(limit), described=rows_of_found)
 

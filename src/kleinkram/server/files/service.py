@@ -44,7 +44,6 @@ from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
-_BY_TIME = {FileSort.start, FileSort.start_desc, FileSort.created, FileSort.created_desc}
 # Among the files of so many missions the first page is looked for.
 _MISSIONS_AHEAD = 64
 _FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
@@ -88,10 +87,9 @@ async def list_files(
         return listed.model_copy(update={"total": total})
     rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
     if rows is None:
-        if matching.mission_id is None:
-            actor = await knowing_few(db, actor)
-        if sort in _BY_TIME and not page.count and matching.mission_id is None and actor.few_mission_ids is None:
-            found = queries.matching_by_time(actor, matching, finds_many=await meets_many(db, matching))
+        actor = await knowing_few(db, actor)
+        if queries.is_walk(sort) and not page.count and matching.mission_id is None and actor.few_mission_ids is None:
+            found = queries.matching_walked(actor, matching, finds_many=await meets_many(db, matching))
         else:
             found = queries.matching_files(actor, matching)
         rows = await fetch_page(db, found, queries.file_order(actor, sort), page, described=queries.rows_of_found)

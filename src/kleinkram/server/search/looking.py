@@ -140,11 +140,18 @@ def walking() -> ColumnElement[str]:
 
 async def meets_many(db: Connection, matching: FileFilter) -> bool:
     """Say whether a list of files with certain topics is best walked: so many have them that it soon meets some."""
-    column, names = (topic.c.name, matching.topic) if matching.topic else (topic.c.message_type, matching.message_type)
-    if not names or any(map(is_glob, names)):
+    asked = [(column, names) for column, names in _topics_asked(matching) if names]
+    if not asked or any(is_glob(name) for _, names in asked for name in names):
         return False
-    some = select(topic.c.blob_id).where(among(column, names)).limit(_MANY_TOPICS).subquery()
-    return (await db.execute(select(func.count()).select_from(some))).scalar_one() == _MANY_TOPICS
+    some = (
+        select(topic.c.blob_id).where(among(column, names)).limit(_MANY_TOPICS).subquery() for column, names in asked
+    )
+    counts = (select(func.count()).select_from(each).scalar_subquery() for each in some)
+    return set((await db.execute(select(*counts))).one()) == {_MANY_TOPICS}
+
+
+def _topics_asked(matching: FileFilter) -> tuple[tuple[ColumnElement[Any], Sequence[str]], ...]:
+    return (topic.c.name, matching.topic), (topic.c.message_type, matching.message_type)
 
 
 def drawn_missions() -> CTE:
