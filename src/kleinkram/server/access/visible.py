@@ -70,7 +70,7 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
 def missions_by_project(actor: Actor) -> Select[Any]:
     """Return what `visible_missions` does, to be walked project by project: it is looked up once what is granted."""
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_missions().where(*live, _reaches_mission(actor, Right.read, _granted_once(actor)))
+    return joined_missions().where(*live, _reaches_mission(actor, Right.read, _granted_once(actor.person_id)))
 
 
 def count_missions(actor: Actor) -> Select[Any]:
@@ -90,7 +90,7 @@ def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
 
 def files_by_time(actor: Actor) -> Select[Any]:
     """Return what `visible_files` does, to be walked by time: it is looked up once what is granted."""
-    return joined_files().where(_is_visible(actor, Right.read, _granted_once(actor)))
+    return joined_files().where(_is_visible(actor, Right.read, _granted_once(actor.person_id)))
 
 
 def file_is_visible(actor: Actor, right: Right = Right.read) -> ColumnElement[bool]:
@@ -380,10 +380,11 @@ def _lasting(until: datetime.datetime | None) -> Still:
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
 
 
-def _granted_once(actor: Actor) -> ColumnElement[bool]:
-    """Say so of each `mission`, where few of very many are soon met in their order."""
-    on_project = _my_projects(actor.person_id, Right.read)
-    on_mission = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
+@functools.lru_cache(maxsize=_KEPT)
+def _granted_once(person_id: uuid.UUID | None) -> ColumnElement[bool]:
+    """Say what `_granted_on_mission` does, where few of very many missions are soon met in their order."""
+    on_project = _my_projects(person_id, Right.read)
+    on_mission = _granted_to(person_id, access_grant.c.mission_id, Right.read)
     # Otherwise the database takes it to be looked up with each row, and reads everything before it sorts.
     return or_(mission.c.project_id.in_(_once(on_project)), mission.c.id.in_(_once(on_mission)))
 
