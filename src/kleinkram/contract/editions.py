@@ -7,11 +7,12 @@ import hashlib
 from typing import Annotated
 
 from pydantic import Field
+from pydantic_core import to_json
 
 # An ETag without its quotes.
 Edition = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 
 
 def edition_of(*edited: object) -> str:
-    """Return the edition of a thing of which people edit these values, by how they are written."""
-    return hashlib.sha256(repr(edited).encode("utf-8", "backslashreplace")).hexdigest()[:16]
+    """Return the edition of a thing of which people edit these values, by how JSON writes them."""
+    return hashlib.sha256(to_json(edited)).hexdigest()[:16]

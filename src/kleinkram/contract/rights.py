@@ -14,12 +14,15 @@ class Right(str, enum.Enum):
     @property
     def level(self) -> int:
         """Its place, from 1 (READ) to 4 (DELETE)."""
-        return list(Right).index(self) + 1
+        return _RIGHTS.index(self) + 1
 
     @classmethod
     def of_level(cls, level: int) -> "Right":
         """Return the right at a place from 1 to 4."""
-        return list(cls)[level - 1]
+        return _RIGHTS[level - 1]
+
+
+_RIGHTS = tuple(Right)
 
 
 class Scope(str, enum.Enum):

@@ -12,7 +12,7 @@ from typing import Any
 
 import psycopg
 from pydantic_core import from_json
-from sqlalchemy import ARRAY, ColumnElement, any_, event, literal, make_url
+from sqlalchemy import ARRAY, ColumnElement, any_, bindparam, event, literal, make_url
 from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
@@ -149,6 +149,11 @@ def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement
     As one array, whatever their number: the statement stays the same, so it is compiled and prepared once.
     """
     return column == any_(literal([*values], ARRAY(column.type)))
+
+
+def among_given(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
+    """Say so where the values are given by `name` when the statement is executed."""
+    return column == any_(bindparam(name, type_=ARRAY(column.type)))
 
 
 def violated_constraint(error: DBAPIError) -> str | None:

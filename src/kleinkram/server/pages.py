@@ -6,13 +6,14 @@ import datetime
 import hashlib
 import json
 import uuid
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
-from sqlalchemy.exc import DataError, ProgrammingError
+from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
+from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
@@ -42,6 +43,16 @@ class PageRequest:
     cursor: str | None = None
     count: bool = False
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether it is one after the first."""
+        return bool(self.cursor)
+
+    @property
+    def alike(self) -> "PageRequest":
+        """What stands for all of this length after the first, or for the first."""
+        return PageRequest(self.limit, "any" if self.goes_on else None)
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -52,57 +63,99 @@ class Rows:
     total: int | None
 
 
-async def fetch_page(
-    db: Connection,
+@dataclass(frozen=True)
+class Listed:
+    """A list in words, to be kept and asked again: a page of what is `found`, in its order."""
+
+    found: Select[Any]
+    page: Select[Any]
+    order: Order
+
+    @cached_property
+    def count(self) -> Select[Any]:
+        """Return the number of all that is found."""
+        bare = self.found.with_only_columns(self.order.columns[-1]).order_by(None)
+        return select(func.count()).select_from(bare.subquery())
+
+
+def list_of(
     statement: Select[Any],
     order: Order,
     request: PageRequest,
     *,
     described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
-) -> Rows:
-    """Run a select for one page.
+) -> Listed:
+    """Return a list of what a select finds; the same for all requests that are `alike`.
 
     With `described`, the select only finds the page: of what is walked past, no more is read than decides. The rows
     are then those that `described` selects for the page's ids, the last column of the order.
+    """
+    paged = page_of(statement, order, limit=request.limit, goes_on=request.goes_on, described=described)
+    return Listed(statement, paged, order)
+
+
+async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
+    """Run a select for one page.
+
+    Raises:
+        InvalidCursor: the cursor is not one of this list in this order.
+    """
+    return await fetch_listed(db, list_of(statement, order, request), request)
+
+
+async def fetch_listed(
+    db: Connection, listed: Listed, request: PageRequest, values: Mapping[str, object] = MappingProxyType({})
+) -> Rows:
+    """Run a list for one page, with the values of what its select leaves open.
 
     Raises:
         InvalidCursor: the cursor is not one of this list in this order.
     """
     total = None
     if request.count:
-        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
-        total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
-        if not total and not request.cursor:  # nothing to go through everything for once more
+        total = (await db.execute(listed.count, values)).scalar_one()
+        if not total and not request.goes_on:  # nothing to go through everything for once more
             return Rows([], None, 0)
-    paged = page_of(statement, order, request, described=described)
+    rows = await rows_after(db, listed.page, listed.order, request, values)
+    return cut(rows, listed.order, limit=request.limit, total=total)
+
+
+async def rows_after(
+    db: Connection, statement: Select[Any], order: Order, request: PageRequest, values: Mapping[str, object]
+) -> Sequence[Row[Any]]:
+    """Return the rows of a statement that is executed with where a page begins, and other values.
+
+    Raises:
+        InvalidCursor: the cursor is not one of a list in this order.
+    """
     try:
-        rows = (await db.execute(paged)).all()
-    except (DataError, ProgrammingError, UnicodeEncodeError) as error:
-        if request.cursor:  # well-formed, but with values that this list's columns cannot have
+        return (await db.execute(statement, {**values, **_begins_after(request, order)})).all()
+    except (StatementError, UnicodeEncodeError) as error:
+        if request.goes_on and not _is_of_database(error):
+            # Well-formed, but with values that this list's columns cannot have.
             raise InvalidCursor from error
         raise
-    return cut(rows, order, limit=request.limit, total=total)
 
 
 def page_of(
     statement: Select[Any],
     order: Order,
-    request: PageRequest,
     *,
+    limit: int,
+    goes_on: bool = False,
     described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
     counted: bool = False,
 ) -> Select[Any]:
-    """Return what `fetch_page` runs for the rows of a page, for `cut`; where `counted`, each says the `total` of all.
+    """Return the rows of a page, for `cut`: with `described` as in `list_of`; where `counted`, each has the `total`.
 
-    Raises:
-        InvalidCursor: the cursor is not one of this list in this order.
+    One that `goes_on` is executed with the values after which it begins.
     """
     keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
     total = [func.count().over().label("total")] if counted else []
     if described is None:
-        return _first(statement.add_columns(*keys, *total), order, request)
+        return _first(statement.add_columns(*keys, *total), order, limit, goes_on=goes_on)
     found = statement.with_only_columns(*keys, *total, maintain_column_froms=True)
-    page = _first(found, order, request).subquery("page")
+    page = _first(found, order, limit, goes_on=goes_on).subquery("page")
     columns = [page.c[key.name] for key in keys]
     return in_order(described(columns[-1]).add_columns(*page.c), columns, order)
 
@@ -113,16 +166,19 @@ def cut(rows: Sequence[Row[Any]], order: Order, *, limit: int, total: int | None
     return Rows(items, _encode(items[-1], order) if len(rows) > limit else None, total)
 
 
-def _first(statement: Select[Any], order: Order, request: PageRequest) -> Select[Any]:
+def _first(statement: Select[Any], order: Order, limit: int, *, goes_on: bool) -> Select[Any]:
     """Return the rows of a page, and one more where there are more."""
-    if request.cursor:
-        given = _decode(request.cursor, order)
-        after = tuple_(*(literal(value) for value in given))
-        row, first = tuple_(*order.columns), order.columns[0]
+    if goes_on:
+        given = [bindparam(f"after_{number}", type_=column.type) for number, column in enumerate(order.columns)]
+        row, after, first = tuple_(*order.columns), tuple_(*given), order.columns[0]
         # The first column is said once more, by itself: where the others are of other tables, its index still serves.
-        ahead = first <= literal(given[0]) if order.descending else first >= literal(given[0])
+        ahead = first <= given[0] if order.descending else first >= given[0]
         statement = statement.where(ahead, row < after if order.descending else row > after)
-    return in_order(statement, order.columns, order).limit(request.limit + 1)
+    return in_order(statement, order.columns, order).limit(limit + 1)
+
+
+def _is_of_database(error: Exception) -> bool:
+    return isinstance(error, DBAPIError) and not isinstance(error, DataError | ProgrammingError)
 
 
 def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
@@ -130,13 +186,17 @@ def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], orde
     return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
 
 
-def place_of(cursor: str, order: Order) -> list[Any]:
-    """Return the values of an order's columns after which the page of a cursor begins.
-
-    Raises:
-        InvalidCursor: the cursor is not one of a list in this order.
-    """
-    return _decode(cursor, order)
+def _begins_after(request: PageRequest, order: Order) -> dict[str, object]:
+    if not request.cursor:
+        return {}
+    try:
+        signature, *values = json.loads(base64.urlsafe_b64decode(request.cursor + "=" * (-len(request.cursor) % 4)))
+        decoded = [_TYPES[value[0]](value[1:]) for value in values]
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError, binascii.Error):
+        raise InvalidCursor from None
+    if signature != order.signature or len(decoded) != len(order.columns):
+        raise InvalidCursor
+    return {f"after_{number}": value for number, value in enumerate(decoded)}
 
 
 def _encode(row: Row[Any], order: Order) -> str:
@@ -150,14 +210,3 @@ def _to_text(value: object) -> str:
     if isinstance(value, uuid.UUID):
         return "u" + str(value)
     return ("i" if isinstance(value, int) else "s") + str(value)
-
-
-def _decode(cursor: str, order: Order) -> list[Any]:
-    try:
-        signature, *values = json.loads(base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)))
-        decoded = [_TYPES[value[0]](value[1:]) for value in values]
-    except (ValueError, TypeError, KeyError, IndexError, RecursionError, binascii.Error):
-        raise InvalidCursor from None
-    if signature != order.signature or len(decoded) != len(order.columns):
-        raise InvalidCursor
-    return decoded

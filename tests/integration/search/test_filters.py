@@ -1,6 +1,8 @@
 """What the filters of the lists find."""
 
+import base64
 import datetime
+import json
 import uuid
 from typing import Any
 
@@ -184,6 +186,24 @@ def test_pages_are_stable_while_files_come_and_go(api: Api, sample: Sample) -> N
     api.patch(f"/files/{ids['d']}", {"path": "z"}).ok()
     second = api.get("/files", {**query, "cursor": first["next"]}).ok()
     assert [item["path"] for item in first["items"] + second["items"]] == ["b", "d", "f", "g"]
+
+
+@pytest.mark.parametrize("value", ["sa\x00b", "s\ud800", "i5", f"u{uuid.UUID(int=5)}", "d2024-01-01"])
+@pytest.mark.parametrize("place", [1, 2, 3, 4])
+@pytest.mark.parametrize("sort", ["path", "-path"])
+def test_a_forged_cursor_of_files_by_path_is_refused_or_leads_nowhere_else(
+    api: Api, project: Any, sort: str, place: int, value: str
+) -> None:
+    query = {"project_id": project["id"], "sort": sort, "limit": "1"}
+    found = {one["id"] for one in api.all("/files", query)}
+    real = api.get("/files", query).ok()["next"]
+    said = json.loads(base64.urlsafe_b64decode(real + "=" * (-len(real) % 4)))
+    said[place] = value
+    answer = api.get("/files", {**query, "cursor": base64.urlsafe_b64encode(json.dumps(said).encode()).decode()})
+    if answer.status != 200:
+        answer.refused(422, "invalid_cursor")
+    else:
+        assert {one["id"] for one in answer.ok()["items"]} <= found
 
 
 def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api, sample: Sample) -> None:

@@ -4,9 +4,14 @@ It says where to begin and is no right: `visible` asks for rights with every sta
 """
 
 from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from sqlalchemy import Select
 
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.access.whoever import KEPT, asking, whoever
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import mission
 
@@ -18,8 +23,12 @@ async def knowing_few(db: Connection, actor: Actor) -> Actor:
     """Return the same somebody, with the ids of the missions they see where there are no more than `MOST`."""
     if actor.is_admin or actor.sees_many or actor.few_mission_ids is not None:
         return actor
-    found = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MOST + 1)
-    mission_ids = (await db.execute(found)).scalars().all()
+    mission_ids = (await db.execute(_first(whoever(actor)), asking(actor))).scalars().all()
     if len(mission_ids) > MOST:
         return replace(actor, sees_many=True)
     return replace(actor, few_mission_ids=frozenset(mission_ids))
+
+
+@lru_cache(maxsize=KEPT)
+def _first(asker: Actor) -> Select[Any]:
+    return visible_missions(asker).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MOST + 1)

@@ -30,7 +30,7 @@ from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from kleinkram.contract.rights import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
-from kleinkram.server.db import among
+from kleinkram.server.db import among, among_given
 from kleinkram.server.tables import (
     access_grant,
     access_group,
@@ -104,14 +104,14 @@ def _is_visible(actor: Actor, right: Right, granted: ColumnElement[bool] | None 
     return and_(*live, _reaches_mission(actor, right, granted), shown_files(actor))
 
 
-def files_of_seen(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+def files_of_seen(actor: Actor, given: str) -> Select[Any]:
     """Return what `visible_files` would of missions that this very request has found among the visible ones.
 
-    Their grants are not looked up again.
+    Their ids are `given` by a name. Their grants are not looked up again.
     """
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
     # Said of both, so that the database may begin with either.
-    inside = (among(mission.c.id, mission_ids), among(file.c.mission_id, mission_ids))
+    inside = (among_given(mission.c.id, given), among_given(file.c.mission_id, given))
     return joined_files().where(*live, shown_files(actor), *inside)
 
 

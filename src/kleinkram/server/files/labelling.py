@@ -14,6 +14,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
+from kleinkram.server.files.service import rows_by_id
 from kleinkram.server.missions import service as missions
 
 # As many as one file may carry.
@@ -42,7 +43,7 @@ async def _held(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> 
     """Return those of the files that are there for this actor, as they stay until the transaction ends."""
     held: set[uuid.UUID] = set()
     while True:
-        found = {row.id: row for row in await db.execute(queries.files_by_id(actor, file_ids))}
+        found = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
         unheld = {row.mission_id for row in found.values()} - held
         if not unheld:
             return found

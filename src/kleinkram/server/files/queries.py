@@ -38,13 +38,13 @@ from kleinkram.server.access.visible import (
     visible_files,
     visible_missions,
 )
-from kleinkram.server.db import among
+from kleinkram.server.access.whoever import KEPT
+from kleinkram.server.db import among, among_given
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Order, PageRequest, page_of
+from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.matching import narrow_files, narrow_walked
-from kleinkram.server.search.topics import topic_rows
-from kleinkram.server.search.words import KEPT
+from kleinkram.server.search.topics import TOPIC_ORDER, topic_rows
 from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -126,9 +126,10 @@ def _hex(digest: bytes | None) -> str | None:
     return None if digest is None else digest.hex()
 
 
-def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the visible files among some ids."""
-    return _rows_of_all().where(file_is_visible(actor), among(file.c.id, file_ids))
+@functools.lru_cache(maxsize=KEPT)
+def files_by_id(asker: Actor) -> Select[Any]:
+    """Return the visible files among `file_ids`."""
+    return _rows_of_all().where(file_is_visible(asker), among_given(file.c.id, "file_ids"))
 
 
 def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Select[Any]:
@@ -146,14 +147,27 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     return stmt if actor.run_id is None else stmt.where(false())
 
 
-def matching_files(actor: Actor, matching: FileFilter) -> Select[Any]:
-    """Return the visible files that match, to be counted or read."""
-    return narrow_files(actor, visible_files(actor), matching)
+@functools.lru_cache(maxsize=KEPT)
+def listed(asked: Asked[FileFilter], sort: FileSort, page: PageRequest) -> Listed:
+    """Return the list of the visible files that match, as `to_file` reads them, for all pages `alike`."""
+    return _list(asked, narrow_files(asked.actor, visible_files(asked.actor), asked.matching), sort, page)
 
 
-def matching_walked(actor: Actor, matching: FileFilter, *, finds_many: bool) -> Select[Any]:
+@functools.lru_cache(maxsize=KEPT)
+def listed_walked(asked: Asked[FileFilter], sort: FileSort, page: PageRequest, *, finds_many: bool) -> Listed:
     """Return the same where a list `is_walk`: nothing is looked up of more than are met on the way."""
-    return (narrow_walked if finds_many else narrow_files)(actor, files_by_time(actor), matching)
+    narrow = narrow_walked if finds_many else narrow_files
+    return _list(asked, narrow(asked.actor, files_by_time(asked.actor), asked.matching), sort, page)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def listed_ahead(asked: Asked[FileFilter], sort: FileSort, page: PageRequest) -> Listed:
+    """Return those that lie in `ahead`: missions that this very request has found among the visible ones."""
+    return _list(asked, narrow_files(asked.actor, files_of_seen(asked.actor, "ahead"), asked.matching), sort, page)
+
+
+def _list(asked: Asked[FileFilter], found: Select[Any], sort: FileSort, page: PageRequest) -> Listed:
+    return list_of(found, file_order(asked.actor, sort), page, described=rows_of_found)
 
 
 def is_walk(sort: FileSort) -> bool:
@@ -161,17 +175,12 @@ def is_walk(sort: FileSort) -> bool:
     return sort in _WALKS
 
 
-def matching_files_of(actor: Actor, mission_ids: Collection[uuid.UUID], matching: FileFilter) -> Select[Any]:
-    """Return those of them that lie in some missions, which were found among the visible ones by this very request."""
-    return narrow_files(actor, files_of_seen(actor, mission_ids), matching)
-
-
 @functools.lru_cache(maxsize=KEPT)
-def page_of_found(asked: Asked, sort: FileSort, *, limit: int) -> Select[Any]:
+def page_of_found(asked: Asked[FileFilter], sort: FileSort, *, limit: int) -> Select[Any]:
     """Return the first page of the visible files that match, as `to_file` reads them."""
     narrow = narrow_walked if asked.actor.looked.finds_many and is_walk(sort) else narrow_files
     found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
-    return page_of(found, file_order(asked.actor, sort), PageRequest(limit), described=rows_of_found)
+    return page_of(found, file_order(asked.actor, sort), limit=limit, described=rows_of_found)
 
 
 def file_order(actor: Actor, sort: FileSort) -> Order:
@@ -208,25 +217,27 @@ def count_all(actor: Actor) -> Select[Any]:
     return visible_missions(actor).with_only_columns(total, maintain_column_froms=True)
 
 
-def missions_ahead(
-    actor: Actor, matching: FileFilter, *, descending: bool, after: Sequence[str], limit: int
-) -> Select[Any]:
-    """Return the ids of the first missions of a list by path, from those named `after` (project and mission) on."""
+@functools.lru_cache(maxsize=KEPT)
+def missions_ahead(asked: Asked[FileFilter], *, descending: bool, goes_on: bool, limit: int) -> Select[Any]:
+    """Return the ids of the first missions of a list by path, from those named on with which a page begins."""
     named = (project.c.name, mission.c.name)
-    stmt = missions_by_project(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    if matching.project_id is not None:
-        stmt = stmt.where(project.c.id == matching.project_id)
-    if after:
-        place, row = tuple_(*(literal(name) for name in after)), tuple_(*named)
+    stmt = missions_by_project(asked.actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    if asked.matching.project_id is not None:
+        stmt = stmt.where(project.c.id == asked.matching.project_id)
+    if goes_on:
+        after = [bindparam(f"after_{number}", type_=Text()) for number in range(len(named))]
+        place, row = tuple_(*after), tuple_(*named)
         ahead = project.c.name <= after[0] if descending else project.c.name >= after[0]
         stmt = stmt.where(ahead, row <= place if descending else row >= place)
     in_order = [name.desc() if descending else name for name in (*named, mission.c.id)]
     return stmt.order_by(*in_order).limit(limit)
 
 
-def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return the topics of one visible file, and how densely their messages lie."""
-    return topic_rows(visible_files(actor).where(file.c.id == file_id)).add_columns(topic.c.density)
+@functools.lru_cache(maxsize=KEPT)
+def topics_of_file(asker: Actor, page: PageRequest) -> Listed:
+    """Return the list of the topics of the visible file `file_id`, and how densely their messages lie."""
+    of_file = visible_files(asker).where(file.c.id == bindparam("file_id"))
+    return list_of(topic_rows(of_file).add_columns(topic.c.density), TOPIC_ORDER, page)
 
 
 def runs_that_read(file_id: uuid.UUID) -> Select[Any]:

@@ -26,6 +26,7 @@ from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.rights import require_mission
+from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
 from kleinkram.server.db import Connection
@@ -33,12 +34,12 @@ from kleinkram.server.editions import require_edition
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_page, place_of
+from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_listed, rows_after
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.looking import meets_many
-from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
+from kleinkram.server.search.topics import to_topic
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
 
@@ -60,7 +61,13 @@ async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]
 
 async def read_visible_files(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> list[FileRead]:
     """Return those of the files that are there for this actor, in no order, by one query."""
-    return [queries.to_file(row) for row in await db.execute(queries.files_by_id(actor, file_ids))]
+    return [queries.to_file(row) for row in await rows_by_id(db, actor, file_ids)]
+
+
+async def rows_by_id(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> Sequence[Row[Any]]:
+    """Return the rows of those of the files that are there for this actor, in no order."""
+    given = asking(actor) | {"file_ids": [*file_ids]}
+    return (await db.execute(queries.files_by_id(whoever(actor)), given)).all()
 
 
 async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead:
@@ -88,11 +95,13 @@ async def list_files(
     rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
     if rows is None:
         actor = await knowing_few(db, actor)
+        asked = asked_alike(actor, matching)
         if queries.is_walk(sort) and not page.count and matching.mission_id is None and actor.few_mission_ids is None:
-            found = queries.matching_walked(actor, matching, finds_many=await meets_many(db, matching))
+            finds_many = await meets_many(db, matching)
+            wanted = queries.listed_walked(asked, sort, page.alike, finds_many=finds_many)
         else:
-            found = queries.matching_files(actor, matching)
-        rows = await fetch_page(db, found, queries.file_order(actor, sort), page, described=queries.rows_of_found)
+            wanted = queries.listed(asked, sort, page.alike)
+        rows = await fetch_listed(db, wanted, page, values(actor, matching))
     return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -126,13 +135,14 @@ async def _first_missions(
     """
     if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.looked.finds_few:
         return None
-    order = queries.file_order(actor, sort)
-    after = place_of(page.cursor, order)[:2] if page.cursor else []
-    ahead = queries.missions_ahead(actor, matching, descending=order.descending, after=after, limit=_MISSIONS_AHEAD)
-    mission_ids = (await db.execute(ahead)).scalars().all()
-    found = queries.matching_files_of(actor, mission_ids, matching)
-    rows = await fetch_page(db, found, order, page, described=queries.rows_of_found)
-    return rows if rows.next is not None or len(mission_ids) < _MISSIONS_AHEAD else None
+    asked, given = asked_alike(actor, matching), values(actor, matching)
+    listed = queries.listed_ahead(asked, sort, page.alike)
+    ahead = queries.missions_ahead(
+        asked, descending=listed.order.descending, goes_on=page.goes_on, limit=_MISSIONS_AHEAD
+    )
+    missions_of_page = [row.id for row in await rows_after(db, ahead, listed.order, page, given)]
+    rows = await fetch_listed(db, listed, page, given | {"ahead": missions_of_page})
+    return rows if rows.next is not None or len(missions_of_page) < _MISSIONS_AHEAD else None
 
 
 async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page: PageRequest) -> Page[TopicRead]:
@@ -141,7 +151,8 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
     Raises:
         NotFound: the file is not there, or not for this actor.
     """
-    rows = await fetch_page(db, queries.topics_of_file(actor, file_id), TOPIC_ORDER, page)
+    topics = queries.topics_of_file(whoever(actor), page.alike)
+    rows = await fetch_listed(db, topics, page, asking(actor) | {"file_id": file_id})
     if not rows.items:
         await _row(db, actor, file_id)
     return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
@@ -247,7 +258,7 @@ async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fil
 
 
 async def _rows(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[Row[Any]]:
-    found = {row.id: row for row in await db.execute(queries.files_by_id(actor, file_ids))}
+    found = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
     for file_id in file_ids:
         if file_id not in found:
             raise NotFound(noun="file", ref=str(file_id))

@@ -2,7 +2,6 @@
 
 import functools
 import uuid
-from collections.abc import Collection
 from typing import Any
 
 from sqlalchemy import (
@@ -31,15 +30,17 @@ from kleinkram.server.access.visible import (
     visible_missions,
     visible_projects,
 )
+from kleinkram.server.access.whoever import KEPT
+from kleinkram.server.db import among_given
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pages import Order, PageRequest, page_of
+from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.looking import drawn_missions, walking
 from kleinkram.server.search.matching import narrow_missions, narrow_missions_found
-from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
+_AMOUNTS = ("file_count", "size_bytes", "message_count", "pending_file_count")
 
 
 def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
@@ -69,9 +70,8 @@ def to_mission(row: Row[Any]) -> MissionRead:
     said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
     if not said["is_whole"]:
         said |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
-    numbers = (int(number) for number in said["amounts"])
-    said |= zip(("file_count", "size_bytes", "message_count", "pending_file_count"), numbers, strict=True)
-    said |= {"start_ns": said["shown_start_ns"], "end_ns": said["shown_end_ns"]}
+    said |= zip(_AMOUNTS, map(int, said["amounts"]), strict=True)
+    said["start_ns"], said["end_ns"] = said["shown_start_ns"], said["shown_end_ns"]
     said["recordings_current"] = said["derived_revision"] == said["files_revision"]
     said["right"] = Right.of_level(said["level"])
     return MissionRead.model_validate(said)
@@ -82,27 +82,31 @@ def to_mission_ref(row: Row[Any]) -> MissionRef:
     return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
 
 
-def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return one visible mission, with its project's name."""
+@functools.lru_cache(maxsize=KEPT)
+def mission_by_id(asker: Actor) -> Select[Any]:
+    """Return the visible mission `mission_id`, with its project's name."""
     project_name = project.c.name.label("project_name")
-    return visible_missions(actor).add_columns(project_name).where(mission.c.id == mission_id)
+    return visible_missions(asker).add_columns(project_name).where(mission.c.id == bindparam("mission_id"))
 
 
-def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return one visible mission as `to_mission` reads it."""
-    return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
+@functools.lru_cache(maxsize=KEPT)
+def whole_mission(asker: Actor) -> Select[Any]:
+    """Return the visible mission `mission_id` as `to_mission` reads it."""
+    return mission_rows(asker, visible_missions(asker).where(mission.c.id == bindparam("mission_id")))
 
 
-def hold_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the select that keeps the projects of some missions from being deleted, restored or dropped."""
-    holding = select(mission.c.project_id).where(mission.c.id.in_(mission_ids))
+@functools.cache
+def hold_projects_of() -> Select[Any]:
+    """Return the select that keeps the projects of `mission_ids` from being deleted, restored or dropped."""
+    holding = select(mission.c.project_id).where(among_given(mission.c.id, "mission_ids"))
     found = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
     return found.with_for_update(read=True, key_share=True)
 
 
-def lock_missions(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the select that holds others off changing missions and what they hold."""
-    found = select(mission.c.id).where(mission.c.id.in_(mission_ids)).order_by(mission.c.id)
+@functools.cache
+def lock_missions() -> Select[Any]:
+    """Return the select that holds others off changing `mission_ids` and what they hold."""
+    found = select(mission.c.id).where(among_given(mission.c.id, "mission_ids")).order_by(mission.c.id)
     return found.with_for_update(key_share=True)
 
 
@@ -132,15 +136,29 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
 
 
 @functools.lru_cache(maxsize=KEPT)
-def page_of_found(asked: Asked, sort: MissionSort, *, limit: int, counted: bool) -> Select[Any]:
-    """Return the first page of the visible missions that a query of files finds, as `to_mission` reads them."""
-    matched = matching_missions(asked.actor, MissionFilter(), asked.matching)
-    described = functools.partial(rows_of_found, asked.actor)
-    return page_of(matched, mission_order(asked.actor, sort), PageRequest(limit), described=described, counted=counted)
+def listed(asked: Asked[MissionFilter], sort: MissionSort, page: PageRequest) -> Listed:
+    """Return the list of the visible missions that match, as `to_mission` reads them, for all pages `alike`."""
+    return list_matching(asked.actor, asked.matching, None, sort, page)
+
+
+def list_matching(
+    actor: Actor, matching: MissionFilter, found: FileFilter | None, sort: MissionSort, page: PageRequest
+) -> Listed:
+    """Return the list of `matching_missions`, as `to_mission` reads them."""
+    matched, order = matching_missions(actor, matching, found), mission_order(actor, sort)
+    return list_of(matched, order, page, described=functools.partial(rows_of_found, actor))
 
 
 @functools.lru_cache(maxsize=KEPT)
-def count_drawn(asked: Asked) -> Select[Any]:
+def page_of_found(asked: Asked[FileFilter], sort: MissionSort, *, limit: int, counted: bool) -> Select[Any]:
+    """Return the first page of the visible missions that a query of files finds, as `to_mission` reads them."""
+    matched = matching_missions(asked.actor, MissionFilter(), asked.matching)
+    described = functools.partial(rows_of_found, asked.actor)
+    return page_of(matched, mission_order(asked.actor, sort), limit=limit, described=described, counted=counted)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def count_drawn(asked: Asked[FileFilter]) -> Select[Any]:
     """Return `hits`: how many of the missions drawn by lot a query finds; of how many `drawn`, and the `last`.
 
     For a query that finds very many: what is listed afterwards in the same transaction is walked.

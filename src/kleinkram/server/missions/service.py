@@ -8,7 +8,6 @@ import asyncio
 import uuid
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from sqlalchemy import Row, Update, func, insert
@@ -31,13 +30,14 @@ from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.access.visible import count_missions, sees_whole_missions
+from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import prefilled, write_template
-from kleinkram.server.pages import PageRequest, cut, fetch_page
+from kleinkram.server.pages import PageRequest, cut, fetch_listed
 from kleinkram.server.quotas.service import require_room_for_mission
 from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.looking import estimate_missions
@@ -58,8 +58,9 @@ async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> s
     Their projects are kept from being deleted, restored or dropped meanwhile. Says nothing of who may see them, nor
     whether they are in the trash: that is read afterwards, by a statement of its own, and then stays true.
     """
-    await db.execute(queries.hold_projects_of(mission_ids))
-    return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
+    given = {"mission_ids": [*mission_ids]}
+    await db.execute(queries.hold_projects_of(), given)
+    return set((await db.execute(queries.lock_missions(), given)).scalars())
 
 
 async def lock_mission_to_fill(db: Connection, actor: Actor, mission_id: uuid.UUID) -> None:
@@ -79,7 +80,8 @@ async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = (await db.execute(queries.mission_by_id(actor, mission_id))).one_or_none()
+    given = asking(actor) | {"mission_id": mission_id}
+    row = (await db.execute(queries.mission_by_id(whoever(actor)), given)).one_or_none()
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     return row
@@ -91,7 +93,8 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = (await db.execute(queries.whole_mission(actor, mission_id))).one_or_none()
+    given = asking(actor) | {"mission_id": mission_id}
+    row = (await db.execute(queries.whole_mission(whoever(actor)), given)).one_or_none()
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     return queries.to_mission(row)
@@ -117,9 +120,11 @@ async def list_missions(
         page = replace(page, count=False)
         listed = await list_missions(db, actor, matching=matching, sort=sort, page=page)
         return listed.model_copy(update={"total": total})
-    matched = queries.matching_missions(actor, matching, found)
-    described = partial(queries.rows_of_found, actor)
-    rows = await fetch_page(db, matched, queries.mission_order(actor, sort), page, described=described)
+    if found is None:
+        wanted = queries.listed(asked_alike(actor, matching), sort, page.alike)
+        rows = await fetch_listed(db, wanted, page, values(actor, matching))
+    else:
+        rows = await fetch_listed(db, queries.list_matching(actor, matching, found, sort, page), page)
     return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
 
 

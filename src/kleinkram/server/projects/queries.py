@@ -1,9 +1,23 @@
 """What is asked of projects. Functions return selects; they touch no connection."""
 
 import uuid
+from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, Update, func, literal, select, type_coerce, update
+from sqlalchemy import (
+    ARRAY,
+    BigInteger,
+    ColumnElement,
+    Row,
+    Select,
+    Update,
+    bindparam,
+    func,
+    literal,
+    select,
+    type_coerce,
+    update,
+)
 from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.projects import ProjectRead, ProjectSort
@@ -14,8 +28,9 @@ from kleinkram.server.access.visible import (
     sees_whole_missions,
     visible_projects,
 )
+from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.missions.amounts import duration, file_amounts
-from kleinkram.server.pages import Order
+from kleinkram.server.pages import Listed, Order, PageRequest, list_of
 from kleinkram.server.search.matching import narrow_projects
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
@@ -81,9 +96,10 @@ def to_project(row: Row[Any]) -> ProjectRead:
     return ProjectRead.model_validate(said)
 
 
-def project_by_id(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
-    """Return one visible project."""
-    return project_rows(actor, visible_projects(actor).where(project.c.id == project_id))
+@lru_cache(maxsize=KEPT)
+def project_by_id(asker: Actor) -> Select[Any]:
+    """Return the visible project `project_id`."""
+    return project_rows(asker, visible_projects(asker).where(project.c.id == bindparam("project_id")))
 
 
 def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
@@ -92,15 +108,12 @@ def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
     return stmt.with_for_update()
 
 
-def matching_projects(actor: Actor, *, name: str | None, text: str | None) -> Select[Any]:
-    """Return the visible projects that match."""
-    return project_rows(actor, narrow_projects(actor, visible_projects(actor), name=name, text=text))
-
-
-def project_order(sort: ProjectSort) -> Order:
-    """Return a list's order."""
+@lru_cache(maxsize=KEPT)
+def listed(asker: Actor, name: str | None, text: str | None, sort: ProjectSort, page: PageRequest) -> Listed:
+    """Return the list of the visible projects that match, as `to_project` reads them, for all pages `alike`."""
+    matched = project_rows(asker, narrow_projects(asker, visible_projects(asker), name=name, text=text))
     column = project.c.name if sort.value.endswith("name") else project.c.created_at
-    return Order([column, project.c.id], sort.value.startswith("-"))
+    return list_of(matched, Order([column, project.c.id], sort.value.startswith("-")), page)
 
 
 def change_project(project_id: uuid.UUID, **values: object) -> Update:

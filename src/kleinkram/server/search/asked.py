@@ -1,75 +1,79 @@
-"""What is asked, without its values: words, people and ids that were found differ, and the statement is the same.
-
-To put a statement together, and to look up how it was compiled, takes longer than PostgreSQL takes for most of them. So
-each is put together once for all that ask alike, and executed with the values of this one.
-"""
+"""What is asked, without its values: words, people and ids differ, and the statement is the same (`access.whoever`)."""
 
 import uuid
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Generic, TypeVar
 
-from sqlalchemy import Uuid, bindparam
+from sqlalchemy import BindParameter, Uuid, bindparam
 
 from kleinkram.contract.files import FileFilter
+from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.query.words import joined
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Found
+from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.search.words import in_general, values_of, words_of
 
-# Whoever asks, as far as statements say who that is. Without the value, a statement is not executed at all.
-_WHOEVER: Any = bindparam("asking_person_id", type_=Uuid())
 _ANY_FOUND = Found(0, "", "", "", "", is_general=True)
+Filter = TypeVar("Filter", MissionFilter, FileFilter)
+
+
+class _AnyId(uuid.UUID):
+    """Stands in a filter for whatever id it has there: a statement has a parameter in its place."""
+
+    def __clause_element__(self) -> BindParameter[uuid.UUID]:
+        return _GIVEN[self]
+
+
+_ANY_ID = {name: _AnyId(int=number) for number, name in enumerate(("project_id", "mission_id", "recording_id"))}
+_GIVEN = {any_id: bindparam(f"asked_{name}", type_=Uuid()) for name, any_id in _ANY_ID.items()}
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A filter of files and who asks: alike for all whose statements are the same but for their values.
+class Asked(Generic[Filter]):
+    """A filter and who asks: alike for all whose statements are the same but for their values.
 
     Two are the same where `actor` and `said` are: `said` is all of the filter that is no value.
     """
 
     actor: Actor
     said: str
-    matching: FileFilter = field(compare=False)
+    matching: Filter = field(compare=False)
 
 
-def asked_alike(actor: Actor, matching: FileFilter) -> Asked:
+def asked_alike(actor: Actor, matching: Filter) -> Asked[Filter]:
     """Return what is asked, without its values; it is executed with `values`.
 
     Raises:
         InvalidQuery: there are too many words.
     """
     looked = actor.looked
-    # What is left out may say the same words: the filter is then taken as it is.
-    if not matching.without:
+    alike: dict[str, object] = {name: _ANY_ID[name] for name in _ids_of(matching)}
+    # What is left out may say the same words: these are then taken as they are.
+    if not _leaves_out(matching):
         words = words_of(matching.text)
         general = in_general(map(looked.of, dict.fromkeys(words)))
         names = dict(zip(dict.fromkeys(words), (each.word for each in general), strict=True))
-        matching = matching.model_copy(update={"text": joined([names[word] for word in words]) or None})
+        alike |= {"text": joined([names[word] for word in words]) or None}
         looked = replace(looked, words=general, led_by=looked.led_by and names[looked.led_by])
     looked = replace(looked, found=looked.found and _ANY_FOUND)
-    # Of the rest of who asks no statement of a search says anything.
-    somebody = Actor(
-        person_id=actor.person_id and cast(uuid.UUID, _WHOEVER),
-        name="",
-        token_id=None,
-        request_id=None,
-        kind=actor.kind,
-        is_admin=actor.is_admin,
-        scopes=actor.scopes,
-        limits=actor.limits,
-        most=actor.most,
-        few_mission_ids=actor.few_mission_ids,
-        sees_many=actor.sees_many,
-        looked=looked,
-    )
-    return Asked(somebody, matching.model_dump_json(exclude_defaults=True), matching)
+    matching = matching.model_copy(update=alike)
+    return Asked(whoever(replace(actor, looked=looked)), matching.model_dump_json(exclude_defaults=True), matching)
 
 
-def values(actor: Actor, matching: FileFilter) -> dict[str, object]:
+def values(actor: Actor, matching: MissionFilter | FileFilter) -> dict[str, object]:
     """Return the values with which a statement for what is `asked_alike` is executed."""
-    looked, given = actor.looked, {"asking_person_id": actor.person_id}
-    words = [] if matching.without else [*dict.fromkeys(words_of(matching.text))]
+    looked, given = actor.looked, asking(actor) | {f"asked_{name}": each for name, each in _ids_of(matching).items()}
+    words = [] if _leaves_out(matching) else [*dict.fromkeys(words_of(matching.text))]
     if looked.found is not None:
         given |= {f"found_{what}": getattr(looked.found, what) for what in ("file_ids", "mission_ids", "blob_ids")}
     return given | values_of(map(looked.of, words))
+
+
+def _ids_of(matching: MissionFilter | FileFilter) -> dict[str, uuid.UUID]:
+    found = {name: getattr(matching, name, None) for name in _ANY_ID}
+    return {name: each for name, each in found.items() if each is not None}
+
+
+def _leaves_out(matching: MissionFilter | FileFilter) -> bool:
+    return isinstance(matching, FileFilter) and bool(matching.without)

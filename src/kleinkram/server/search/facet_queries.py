@@ -42,11 +42,11 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.keys import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
+from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among
 from kleinkram.server.search import choosing, looking
 from kleinkram.server.search.asked import Asked, values
 from kleinkram.server.search.matching import file_conditions, narrow_files, narrow_topics
-from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12
@@ -69,7 +69,7 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
 
 
 @lru_cache(maxsize=KEPT)
-def facet_rows(asked: Asked, *, most: int, many: Sequence[bool], drawn: CTE) -> CompoundSelect[Any]:
+def facet_rows(asked: Asked[FileFilter], *, most: int, many: Sequence[bool], drawn: CTE) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 
     The rows of the empty facet hold how many files were looked at: `found` of the filter, and how many there were to be

@@ -10,12 +10,12 @@ from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Found
 from kleinkram.server.access.visible import visible_files
+from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.pages import in_order
 from kleinkram.server.search.asked import Asked, asked_alike, values
 from kleinkram.server.search.matching import narrow_files
-from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import file
 
 # Files that a search finds and that are named in what it asks besides.
@@ -38,7 +38,7 @@ async def find_few(db: Connection, actor: Actor, matching: FileFilter, *, sort: 
 
 
 @lru_cache(maxsize=KEPT)
-def _every(asked: Asked, sort: FileSort, first: int, most: int) -> Select[Any]:
+def _every(asked: Asked[FileFilter], sort: FileSort, first: int, most: int) -> Select[Any]:
     actor = replace(asked.actor, looked=replace(asked.actor.looked, goes_through_all=True))
     order = files.sorted_order(sort)
     keys = [column.label(f"key_{number}") for number, column in enumerate(order.columns)]

@@ -16,10 +16,11 @@ from kleinkram.contract.query.keys import is_glob
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import NONE_AT_ALL, Looked
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.db import Connection, among
+from kleinkram.server.access.whoever import KEPT
+from kleinkram.server.db import Connection, among_given
 from kleinkram.server.search.asked import Asked, asked_alike, values
 from kleinkram.server.search.matching import file_conditions
-from kleinkram.server.search.words import KEPT, file_holds, has_index, look_up, words_of
+from kleinkram.server.search.words import file_holds, has_index, look_up, words_of
 from kleinkram.server.tables import file, mission, topic
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
@@ -103,7 +104,7 @@ async def let_join(db: Connection, actor: Actor, *, freely: bool) -> None:
 
 
 @lru_cache(maxsize=KEPT)
-def _tried(asked: Sequence[Asked], drawn: CTE) -> Select[Any]:
+def _tried(asked: Sequence[Asked[FileFilter]], drawn: CTE) -> Select[Any]:
     """Return how many files drawn each filter finds, and each word of the first; and what was drawn.
 
     Of the first also the blobs, and how many of its files are `timed`.
@@ -140,18 +141,19 @@ def walking() -> ColumnElement[str]:
 
 async def meets_many(db: Connection, matching: FileFilter) -> bool:
     """Say whether a list of files with certain topics is best walked: so many have them that it soon meets some."""
-    asked = [(column, names) for column, names in _topics_asked(matching) if names]
-    if not asked or any(is_glob(name) for _, names in asked for name in names):
+    asked = {"topics": matching.topic, "types": matching.message_type}
+    given: dict[str, object] = {kind: names for kind, names in asked.items() if names}
+    if not given or any(is_glob(name) for names in asked.values() for name in names):
         return False
-    some = (
-        select(topic.c.blob_id).where(among(column, names)).limit(_MANY_TOPICS).subquery() for column, names in asked
-    )
-    counts = (select(func.count()).select_from(each).scalar_subquery() for each in some)
-    return set((await db.execute(select(*counts))).one()) == {_MANY_TOPICS}
+    return set((await db.execute(_counted_topics(tuple(given), _MANY_TOPICS), given)).one()) == {_MANY_TOPICS}
 
 
-def _topics_asked(matching: FileFilter) -> tuple[tuple[ColumnElement[Any], Sequence[str]], ...]:
-    return (topic.c.name, matching.topic), (topic.c.message_type, matching.message_type)
+@lru_cache(maxsize=KEPT)
+def _counted_topics(kinds: Sequence[str], most: int) -> Select[Any]:
+    columns = {"topics": topic.c.name, "types": topic.c.message_type}
+    named = (select(topic.c.blob_id).where(among_given(columns[kind], kind)) for kind in kinds)
+    some = (each.limit(most).subquery() for each in named)
+    return select(*(select(func.count()).select_from(each).scalar_subquery() for each in some))
 
 
 def drawn_missions() -> CTE:

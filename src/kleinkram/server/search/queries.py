@@ -26,13 +26,13 @@ from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files
+from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Written
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.looking import rounded
 from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
 from kleinkram.server.search.topics import topic_rows
 from kleinkram.server.search.where import metadata_text
-from kleinkram.server.search.words import KEPT
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
 _MEMORY = "32MB"
@@ -50,7 +50,7 @@ def room_to_count() -> Select[Any]:
 
 
 @lru_cache(maxsize=KEPT)
-def topics_found(asked: Asked, *, limit: int, of_blobs: bool) -> Select[Any]:
+def topics_found(asked: Asked[FileFilter], *, limit: int, of_blobs: bool) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
     With `of_blobs`, of files of the `found_blob_ids`, which this very request has found among those that match.

@@ -36,6 +36,7 @@ from kleinkram.contract.query.words import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import NONE_AT_ALL, Said
 from kleinkram.server.access.visible import sees_whole_missions
+from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection, Written
 from kleinkram.server.search.globs import ESCAPE, containing
 from kleinkram.server.search.kept import is_there, may_have_topic
@@ -48,8 +49,6 @@ MOST_WORDS = 20
 _MOST = 500
 # Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
 _FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
-# To put a statement together takes longer than the database takes for most: so many are kept of each kind.
-KEPT = 64
 # A word without three letters or digits on end has no trigram to be looked up by.
 _LOOKED_UP = re.compile(r"[^\W_]{3}")
 # What JSON writes otherwise than it is.
