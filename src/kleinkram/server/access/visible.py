@@ -74,13 +74,16 @@ def missions_by_project(actor: Actor) -> Select[Any]:
     return joined_missions().where(*live, _reaches_mission(actor, Right.read, _granted_once(actor.person_id)))
 
 
-def count_missions(actor: Actor) -> Select[Any]:
-    """Return how many missions `visible_missions` returns: it is looked up once for each project what is granted."""
+def add_up_missions(actor: Actor, number: ColumnElement[Any]) -> Select[Any]:
+    """Return an aggregate of all missions that `visible_missions` returns, such as their count.
+
+    It is looked up once for each project what is granted.
+    """
     mine = true() if actor.is_admin else project.c.id.in_(_my_projects(actor.person_id, Right.read))
     live = select(project.c.id, mine.label("mine")).where(project.c.deleted_at.is_(None))
     here = live.cte().prefix_with("MATERIALIZED")
     granted = or_(here.c.mine, _granted_itself(actor.person_id, Right.read))
-    stmt = select(func.count()).select_from(mission).join(here, here.c.id == mission.c.project_id)
+    stmt = select(number).select_from(mission).join(here, here.c.id == mission.c.project_id)
     return stmt.where(mission.c.deleted_at.is_(None), _reaches_mission(actor, Right.read, granted))
 
 

@@ -30,13 +30,13 @@ from kleinkram.contract.files import FileFilter, FileRead, FileSort
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
+    add_up_missions,
     file_is_visible,
     files_by_time,
     files_of_seen,
     joined_files,
     missions_by_project,
     visible_files,
-    visible_missions,
 )
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among, among_given
@@ -213,8 +213,7 @@ def _order(sort: FileSort, *, is_walked: bool) -> Order:
 
 def count_all(actor: Actor) -> Select[Any]:
     """Return the number of all visible files, as their missions know it."""
-    total = func.coalesce(func.sum(file_amounts(actor)[0]), 0)
-    return visible_missions(actor).with_only_columns(total, maintain_column_froms=True)
+    return add_up_missions(actor, func.coalesce(func.sum(file_amounts(actor)[0]), 0))
 
 
 @functools.lru_cache(maxsize=KEPT)
