@@ -1,67 +1,87 @@
 """The client: one connection, one attribute a noun."""
 
+import importlib
 import logging
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from typing_extensions import Self
 
 from kleinkram.client._http import Api
-from kleinkram.client.access import Access
-from kleinkram.client.actions import Actions
-from kleinkram.client.admin import Admin
-from kleinkram.client.audit import Audit
 from kleinkram.client.config import Endpoint, find_endpoint
-from kleinkram.client.events import Events
-from kleinkram.client.files import Files
-from kleinkram.client.groups import Groups
-from kleinkram.client.home import Home
-from kleinkram.client.me import Me
-from kleinkram.client.missions import Missions
-from kleinkram.client.people import People
-from kleinkram.client.projects import Projects
-from kleinkram.client.recordings import Recordings
-from kleinkram.client.runners import Runners
-from kleinkram.client.runs import Runs
-from kleinkram.client.search import Search
-from kleinkram.client.service import Service
-from kleinkram.client.shares import Shares
-from kleinkram.client.stats import Stats
-from kleinkram.client.tokens import Tokens
-from kleinkram.client.trash import Trash
-from kleinkram.client.uploads import Uploads
+
+if TYPE_CHECKING:
+    from kleinkram.client.access import Access
+    from kleinkram.client.actions import Actions
+    from kleinkram.client.admin import Admin
+    from kleinkram.client.audit import Audit
+    from kleinkram.client.events import Events
+    from kleinkram.client.files import Files
+    from kleinkram.client.groups import Groups
+    from kleinkram.client.home import Home
+    from kleinkram.client.me import Me
+    from kleinkram.client.missions import Missions
+    from kleinkram.client.people import People
+    from kleinkram.client.projects import Projects
+    from kleinkram.client.recordings import Recordings
+    from kleinkram.client.runners import Runners
+    from kleinkram.client.runs import Runs
+    from kleinkram.client.search import Search
+    from kleinkram.client.service import Service
+    from kleinkram.client.shares import Shares
+    from kleinkram.client.stats import Stats
+    from kleinkram.client.tokens import Tokens
+    from kleinkram.client.trash import Trash
+    from kleinkram.client.uploads import Uploads
 
 _log = logging.getLogger("kleinkram")
 
 
 class Client:
-    """A connection to one Kleinkram server. A context manager; may be shared between threads."""
+    """A connection to one Kleinkram server. A context manager; may be shared between threads.
+
+    A noun is loaded when it is first asked for: whoever lists projects does not wait for all the others.
+    """
+
+    projects: "Projects"
+    missions: "Missions"
+    files: "Files"
+    recordings: "Recordings"
+    uploads: "Uploads"
+    actions: "Actions"
+    runs: "Runs"
+    runners: "Runners"
+    access: "Access"
+    groups: "Groups"
+    people: "People"
+    tokens: "Tokens"
+    shares: "Shares"
+    trash: "Trash"
+    stats: "Stats"
+    search: "Search"
+    audit: "Audit"
+    service: "Service"
+    events: "Events"
+    home: "Home"
+    admin: "Admin"
+    me: "Me"
 
     def __init__(self, endpoint: Endpoint) -> None:
-        api = Api(endpoint)
-        self._api = api
+        self._api = Api(endpoint)
         self.endpoint = endpoint
-        self.projects = Projects(api)
-        self.missions = Missions(api)
-        self.files = Files(api)
-        self.recordings = Recordings(api)
-        self.uploads = Uploads(api)
-        self.actions = Actions(api)
-        self.runs = Runs(api)
-        self.runners = Runners(api)
-        self.access = Access(api)
-        self.groups = Groups(api)
-        self.people = People(api)
-        self.tokens = Tokens(api)
-        self.shares = Shares(api)
-        self.trash = Trash(api)
-        self.stats = Stats(api)
-        self.search = Search(api)
-        self.audit = Audit(api)
-        self.service = Service(api)
-        self.events = Events(api)
-        self.home = Home(api)
-        self.admin = Admin(api)
-        self.me = Me(api)
+
+    if not TYPE_CHECKING:  # or any attribute would be one
+
+        def __getattr__(self, noun: str) -> object:
+            kind = Client.__annotations__.get(noun)
+            if kind is None:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {noun!r}")
+            made = getattr(importlib.import_module(f"kleinkram.client.{noun}"), kind)(self._api)
+            setattr(self, noun, made)
+            return made
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *Client.__annotations__]
 
     def __enter__(self) -> Self:
         return self

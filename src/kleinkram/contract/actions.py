@@ -14,11 +14,11 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.amounts import read_duration, read_size
 from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.query.amounts import read_duration, read_size
 from kleinkram.contract.rights import Right
 
 MAX_SCRIPT_CHARACTERS = 500_000

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 import kleinkram
 import kleinkram.client
 import kleinkram.client.transfer
@@ -19,9 +21,20 @@ def test_the_package_exports_what_it_says() -> None:
 
 def test_a_client_has_one_attribute_a_noun() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
-        nouns = {name for name in vars(client) if not name.startswith("_")} - {"endpoint"}
+        nouns = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close"}
+        assert all(getattr(client, noun) is getattr(client, noun) for noun in nouns)
+        with pytest.raises(AttributeError, match="robots"):
+            client.robots  # type: ignore[attr-defined]  # noqa: B018  that is what is tried
     assert nouns >= {"projects", "missions", "files", "recordings", "uploads", "trash", "stats", "audit"}
     assert nouns >= {"service", "me", "search", "actions", "runs"}
+
+
+def test_a_client_loads_what_is_asked_for() -> None:
+    program = (
+        "import sys, kleinkram; client = kleinkram.connect('http://127.0.0.1:9', 'a token'); client.projects\n"
+        "sys.exit(any(f'kleinkram.client.{noun}' in sys.modules for noun in ('actions', 'runs', 'admin', 'tokens')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 def test_importing_the_package_imports_nothing_else() -> None:

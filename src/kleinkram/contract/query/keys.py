@@ -4,8 +4,8 @@ import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from kleinkram.contract.amounts import read_month
 from kleinkram.contract.files import BlobState, ContentState
-from kleinkram.contract.query.amounts import read_month
 
 META = "meta."
 _SAME = (":", "=")

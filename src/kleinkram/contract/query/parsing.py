@@ -7,10 +7,10 @@ from fractions import Fraction
 
 from pydantic import ValidationError
 
+from kleinkram.contract.amounts import bounds, read_duration, read_size, read_time
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import is_id
-from kleinkram.contract.query.amounts import bounds, read_duration, read_size, read_time
 from kleinkram.contract.query.keys import KEYS, META, Key, is_glob, possible
 from kleinkram.contract.query.rendering import render
 from kleinkram.contract.query.words import Word, as_value, joined, single, split

@@ -3,10 +3,10 @@
 import itertools
 from collections.abc import Iterator, Mapping
 
+from kleinkram.contract.amounts import DURATIONS, SIZES, say_bound, say_time
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
-from kleinkram.contract.query.amounts import DURATIONS, SIZES, say_bound, say_time
 from kleinkram.contract.query.keys import KEYS, META, Key, is_glob
 from kleinkram.contract.query.words import as_value, as_word, escaped, phrases, quoted, single
 
