@@ -5,8 +5,16 @@ import math
 from collections.abc import Sequence
 
 from kleinkram.client._retry import Backoff
+from kleinkram.client.errors import ServerUnreachable, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile
-from kleinkram.contract.errors import BodyTooLarge, InvalidRequest, KleinkramError, RunGone
+from kleinkram.contract.errors import (
+    BodyTooLarge,
+    DatabaseUnavailable,
+    InvalidRequest,
+    KleinkramError,
+    RunGone,
+    StoreUnavailable,
+)
 from kleinkram.contract.reports import Report
 from kleinkram.contract.runners import LOG_PATH, RunFinish
 from kleinkram.contract.runs import EndReason
@@ -26,6 +34,9 @@ _MOST_CHARACTERS = 2000
 _MOST_PROBLEMS = 200
 _ROUNDS = 5
 _AGAIN_S = 2.0
+# A server or a store that is away over the weekend comes back, and the runner keeps what a run left meanwhile.
+_AWAY_S = 7 * 86400.0
+_AWAY = (ServerUnreachable, StoreUnreachable, StoreUnavailable, DatabaseUnavailable)
 # A server in trouble comes back; for one that is away is waited as long as it takes.
 _PATIENCE_S = 600.0
 
@@ -126,22 +137,28 @@ class Keeping:
         return refused + (self._send(files) if files else [])
 
     def _send(self, files: Sequence[LocalFile]) -> list[Refused]:
-        claim, why = self._claim, ""
+        """Send files, and those again that were not taken: what is not kept is gone with the run's folder."""
+        claim, rounds = self._claim, 0
         uploads = self._ground.runners.uploads(claim.run_id, claim.attempt)
-        for _ in range(_ROUNDS):
+        away = Backoff(_AWAY_S, self._orders.wait)
+        while True:
             self._orders.check()
-            self._leaving = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS)
+            self._leaving, is_away = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS), False
             try:
                 refused = self._leaving.send(files)
                 self._orders.check()
-                return refused
             except RunGone:
                 raise
             except KleinkramError as error:
-                _log.warning("what the run %s left is sent again: %s", claim.run_id, error)
-                why = str(error)
-                self._orders.wait(_AGAIN_S)
-        return [Refused(file.path, why) for file in files]
+                refused = [Refused(file.path, str(error)) for file in files]
+                is_away = isinstance(error, _AWAY) and away.pause()
+            rounds += not is_away
+            if not refused or rounds == _ROUNDS:
+                return refused
+            _log.warning("what the run %s left is sent again: %s", claim.run_id, refused[0].why)
+            left = {each.path for each in refused}
+            files = [file for file in files if file.path in left]
+            self._orders.wait(_AGAIN_S)
 
     def _said(self, ending: Ending, report: Report, problems: Sequence[str]) -> RunFinish:
         return RunFinish(

@@ -15,12 +15,28 @@ WORK, USAGE, ENDING, LOG = "work.json", "usage.json", "ending.json", "log"
 # Until when the runner holds the run, in seconds by `now_s`: without one, for as long as the run lasts.
 HELD = "held"
 STARTED = b"started\n"
+NOTED = b"noted\n"
 LOG_IS_FULL = b"\n[kleinkram] the log is full: what comes after this is not kept\n"
 # An empty file takes room, too: of what a disk can name.
 _ENTRY_BYTES = 1024
 _RESERVED_BYTES = 4096
 # Of the kernel's flags of a process: PF_EXITING.
 _IS_ENDING = 4
+
+
+def is_noted() -> bool:
+    """Wait on stdin for the runner's word that it has written down who watches the run; False: it died before that.
+
+    The next runner knows nothing of a warden that nobody wrote down, and starts the run anew in the same folder.
+    """
+    with os.fdopen(0, "rb", closefd=False) as words:
+        return words.readline() == NOTED
+
+
+def say_started() -> None:
+    """Say on stdout that the run has begun; a runner that was killed does not hear it, and the next one finds it."""
+    with contextlib.suppress(BrokenPipeError):
+        os.write(1, STARTED)
 
 
 def written_bytes(folder: Path) -> int:

@@ -3,6 +3,7 @@
 A *warden* is a process that starts one run, bounds it and writes down how it ended. It outlives the runner.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ import threading
 import time
 import zlib
 from collections.abc import Mapping
+from typing import IO
 
 from kleinkram.contract.runs import LOG_BYTES, EndReason, Usage
 from kleinkram.runner import doors, ward
@@ -73,9 +75,7 @@ class Wardens:
             "grace_s": GRACE_S,
             "doors": [vars(door) for door in work.doors],
         }
-        path = work.folder / ward.WORK
-        path.touch(mode=0o600)
-        path.write_text(json.dumps({**bounds, **task}))
+        ward.write_whole(work.folder / ward.WORK, {**bounds, **task})
         # However full the disk is by then, how it ended is told.
         ward.reserve(work.folder / ward.ENDING)
         if not self._spawn(work):
@@ -112,7 +112,8 @@ class Wardens:
             return None
 
     def remove(self, work: Work) -> None:
-        """Kill a run's warden."""
+        """Kill a run's warden, and let no other take it over."""
+        (work.folder / ward.WORK).unlink(missing_ok=True)
         self._signal(work, signal.SIGKILL)
         while self._is_watched(work):
             time.sleep(_LOOK_EVERY_S)
@@ -127,29 +128,36 @@ class Wardens:
         ward.reserve(work.folder / _PROCESS)
         told, telling = os.pipe()
         with os.fdopen(told, "rb") as words:
-            self._set_going(work, telling)
+            with os.fdopen(telling, "wb") as ending:
+                self._set_going(work, ending)
             return words.readline() == ward.STARTED
 
-    def _set_going(self, work: Work, telling: int) -> None:
+    def _set_going(self, work: Work, telling: IO[bytes]) -> None:
+        hearing, saying = os.pipe()
         # Until it has said what to do when asked to end, a warden cannot be asked.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
         try:
             with (work.folder / "warden.log").open("ab") as trouble:
                 started = subprocess.Popen(
                     [sys.executable, "-I", "-m", self._module, str(work.folder)],
-                    stdin=subprocess.DEVNULL,
+                    stdin=hearing,
                     stdout=telling,
                     stderr=trouble,
                     env={"PATH": os.defpath},
                     start_new_session=True,
                 )
+        except BaseException:
+            os.close(saying)
+            raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            os.close(telling)
+            os.close(hearing)
         self._children[work.key] = started
         self._spawned[work.key] = self._spawned.get(work.key, 0) + 1
-        facts = {"pid": started.pid, "began": ward.began(started.pid)}
-        ward.write_whole(work.folder / _PROCESS, facts)
+        # It does nothing before it hears that: of a runner that is killed here, no warden is left that nobody knows.
+        with os.fdopen(saying, "wb", buffering=0) as word, contextlib.suppress(BrokenPipeError):
+            ward.write_whole(work.folder / _PROCESS, {"pid": started.pid, "began": ward.began(started.pid)})
+            word.write(ward.NOTED)
 
     def _watch_again(self, work: Work) -> bool:
         """Have a run watched whose warden died before it; return whether it is."""

@@ -15,7 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kleinkram.contract.errors import FieldProblem, InternalError, InvalidRequest, NotFound, RunGone
+from kleinkram.contract.errors import FieldProblem, InternalError, InvalidRequest, NotFound, RunGone, StoreUnavailable
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
@@ -61,6 +61,7 @@ class FakeServer:
         self.refuses_reports = False
         self.holds_uploads = threading.Event()
         self.store_refuses = threading.Event()
+        self.has_no_store = threading.Event()
         self._objects: dict[str, bytes] = {}
         self._changed = threading.Condition()
         server = self
@@ -69,7 +70,7 @@ class FakeServer:
             fake = server
 
         self._http = Server(("127.0.0.1", 0), OfThis)
-        self._uploads = FakeUploads(self.url, self._objects)
+        self.uploads = FakeUploads(self.url, self._objects)
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         self._thread.start()
 
@@ -112,6 +113,8 @@ class FakeServer:
         if self.fails.get(name):
             self.fails[name] -= 1
             raise InternalError(request_id="a-request")
+        if self.has_no_store.is_set() and name == "/uploads/complete":
+            raise StoreUnavailable(reason="it is away")
         found = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
         noun = uuid.UUID(found.group()) if found else None
         if name == "/service":
@@ -125,9 +128,9 @@ class FakeServer:
             assert noun is not None
             return self._beat(noun, Beats.model_validate_json(body))
         if name == "/uploads/parts":
-            return self._uploads.sign(PartsSign.model_validate_json(body))
+            return self.uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
-            return self._uploads.complete(UploadsComplete.model_validate_json(body))
+            return self.uploads.complete(UploadsComplete.model_validate_json(body))
         run = self.runs.get(noun) if noun else None
         if run is None or not name.startswith("/runner/runs/*/"):
             raise NotFound(noun="route", ref=path)
@@ -164,7 +167,7 @@ class FakeServer:
             self._check(run, begin.attempt)
             while self.holds_uploads.is_set():
                 time.sleep(0.02)
-            return self._uploads.begin(run, begin)
+            return self.uploads.begin(run, begin)
         return self._finish(run, RunFinish.model_validate_json(body))
 
     def _service(self) -> ServiceRead:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import uuid
 
-from kleinkram.contract.runners import ArtifactsBegin
+from kleinkram.contract.errors import UploadGone, to_problem
+from kleinkram.contract.runners import LOG_PATH, ArtifactsBegin
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
     HeldPart,
+    NotCompleted,
     PartsSign,
     Present,
     Send,
@@ -17,6 +19,7 @@ from kleinkram.contract.uploads import (
     SignedParts,
     UploadDecision,
     UploadDecisions,
+    UploadOutcome,
     UploadOutcomes,
     UploadRead,
     UploadsComplete,
@@ -28,12 +31,16 @@ from tests.integration.runner_loop.fake_runs import FakeRun
 
 
 class FakeUploads:
-    """Uploads whose parts go to the store at `url`, which keeps what arrives in `objects`."""
+    """Uploads whose parts go to the store at `url`, which keeps what arrives in `objects`.
+
+    So many files as `refuses` are not taken when all of them has arrived.
+    """
 
     def __init__(self, url: str, objects: dict[str, bytes]) -> None:
         self._url = url
         self._objects = objects
         self._uploads: dict[uuid.UUID, tuple[FakeRun, str, int]] = {}
+        self.refuses = 0
 
     def begin(self, run: FakeRun, begin: ArtifactsBegin) -> UploadDecisions:
         """Open uploads of what a run left; what is there already is not asked for again."""
@@ -75,7 +82,13 @@ class FakeUploads:
 
     def complete(self, asked: UploadsComplete) -> UploadOutcomes:
         """Give runs what arrived whole."""
+        outcomes: list[UploadOutcome] = []
         for each in asked.uploads:
+            if self.refuses > 0 and self._uploads[each.upload_id][1] != LOG_PATH:
+                self.refuses -= 1
+                problem = to_problem(UploadGone(upload_id=str(each.upload_id)), "a request")
+                outcomes.append(NotCompleted(upload_id=each.upload_id, problem=problem))
+                continue
             run, path, size = self._uploads[each.upload_id]
             parts = sorted(
                 (int(key.rpartition("/")[2]), data)
@@ -85,4 +98,5 @@ class FakeUploads:
             whole = b"".join(data for _, data in parts)
             assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, each.sha256)
             run.artifacts[path] = whole
-        return UploadOutcomes(items=[Completed(upload_id=each.upload_id, file=None) for each in asked.uploads])
+            outcomes.append(Completed(upload_id=each.upload_id, file=None))
+        return UploadOutcomes(items=outcomes)

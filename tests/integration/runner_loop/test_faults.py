@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.client import _retry
+from kleinkram.client.transfer import _uploader
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner import keeping
 from kleinkram.runner.orders import MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -72,6 +75,39 @@ def test_a_runner_that_is_killed_finds_its_run_again(server: FakeServer, runners
     assert run.attempt == 1
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
     wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+@pytest.mark.parametrize(("refusals", "reason"), [(2, EndReason.done), (1000, EndReason.results_not_kept)])
+def test_what_is_not_taken_is_sent_again(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
+) -> None:
+    """Its folder goes when it is over: a run is not given up for one upload that was."""
+    monkeypatch.setattr(keeping, "_AGAIN_S", 0.1)
+    server.uploads.refuses = refusals
+    runners.start()
+    run = server.launch("from kleinkram.action import out\nfor n in 'ab': (out / n).write_text(n)\nprint('began')\n")
+    finish = ended(run).finishes[0]
+    assert finish.reason is reason
+    kept = {"a": b"a", "b": b"b"} if reason is EndReason.done else {}
+    assert run.artifacts == {**kept, LOG_PATH: b"began\n"}
+    assert len(finish.problems) == 2 - len(kept)
+
+
+def test_results_are_kept_until_the_store_is_back(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long that takes: more rounds than one that refuses them is given."""
+    monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(_uploader, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
+    server.has_no_store.set()
+    runners.start()
+    run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
+    wait_until(lambda: server.requests["/uploads/complete"] > 2 * keeping._ROUNDS)
+    assert run.finishes == []
+    server.has_no_store.clear()
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
 
 
 @pytest.mark.slow

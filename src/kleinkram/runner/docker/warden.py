@@ -1,10 +1,10 @@
 """The warden of one container: has it made and started, keeps its log, holds it to its bounds, writes down its end.
 
-`python -m kleinkram.runner.docker.warden FOLDER`, where `FOLDER/work.json` says what to do. It says `started` on
-stdout once the command runs, keeps `usage.json` up to date, and leaves `ending.json`, whole or not at all. SIGTERM ends
-the run. If it is killed, another one takes over: it finds the container as it is, goes on with the log where that
-stands, and counts the time from the container's own birth. It outlives a restart of the engine.
-Imports nothing but Python's own library, since runs wait for it.
+`python -m kleinkram.runner.docker.warden FOLDER`, where `FOLDER/work.json` says what to do. It begins once it is told
+`noted` on stdin, says `started` on stdout once the command runs, keeps `usage.json` up to date, and leaves
+`ending.json`, whole or not at all. SIGTERM ends the run. If it is killed, another one takes over: it finds the
+container as it is, goes on with the log where that stands, and counts the time from the container's own birth. It
+outlives a restart of the engine. Imports nothing but Python's own library, since runs wait for it.
 """
 
 import contextlib
@@ -41,6 +41,8 @@ _KILLED = 128 + signal.SIGKILL
 _TOLD_TO_BE_OVER_S = 5.0
 # A container that ends closes its outputs first.
 _SEEN_TO_BE_OVER_S = 1.0
+# That the container was seen to run. The log tells nothing of that: it stays when the run is begun anew.
+_BEGUN = "begun"
 _LOST = ("lost", "Its container was ended from outside: by a restart of the engine or of the machine, or by hand.")
 
 
@@ -83,7 +85,7 @@ class Warden:
 
     def _begin(self) -> Iterator[list[Piece]]:
         """Have the container run, whatever an earlier warden has done of that, and return what it writes."""
-        self._was_alone = (self._folder / ward.LOG).exists()
+        self._was_alone = (self._folder / _BEGUN).exists()
         found = self._find()
         written: Iterator[list[Piece]] = iter(())
         if found is None and self._was_alone:
@@ -104,13 +106,14 @@ class Warden:
         return written
 
     def _watch(self, written: Iterator[list[Piece]]) -> None:
+        (self._folder / _BEGUN).touch()
         self._log = Log(self._folder, self._work["log_bytes"])
         log = threading.Thread(target=self._keep_log, args=(written,), daemon=True)
         log.start()
         threading.Thread(target=self._await_end, daemon=True).start()
         threading.Thread(target=self._await_death, daemon=True).start()
         if self._runs_command():
-            os.write(1, ward.STARTED)
+            ward.say_started()
         os.close(1)
         self._measure()
         while not self._over.wait(_LOOK_EVERY_S):
@@ -370,5 +373,5 @@ def _why_not(error: Refused | OSError) -> tuple[str, str]:
     return "not_possible", f"It could not be started here: {error}."
 
 
-if __name__ == "__main__":
+if __name__ == "__main__" and ward.is_noted():
     Warden(Path(sys.argv[1])).run()

@@ -1,8 +1,9 @@
 """The warden of one run: starts it in its room, holds it to its bounds, and writes down how it ended.
 
-`python -m kleinkram.runner.process.warden FOLDER`, where `FOLDER/work.json` says what to do. It says `started` on
-stdout once the command runs, keeps `usage.json` up to date, and leaves `ending.json`, whole or not at all. SIGTERM ends
-the run. If it is killed, so is all that it started. Imports nothing but Python's own library, since runs wait for it.
+`python -m kleinkram.runner.process.warden FOLDER`, where `FOLDER/work.json` says what to do. It begins once it is told
+`noted` on stdin, says `started` on stdout once the command runs, keeps `usage.json` up to date, and leaves
+`ending.json`, whole or not at all. SIGTERM ends the run. If it is killed, so is all that it started. Imports nothing
+but Python's own library, since runs wait for it.
 """
 
 import contextlib
@@ -134,7 +135,7 @@ class Warden:
         self._failure += data
         if not data:
             if not self._failure:
-                os.write(1, ward.STARTED)
+                ward.say_started()
             os.close(1)
 
     def _keep(self, data: bytes, log: int) -> None:
@@ -271,5 +272,5 @@ def _sum(uses: list[_Use]) -> _Use:
     )
 
 
-if __name__ == "__main__":
+if __name__ == "__main__" and ward.is_noted():
     Warden(Path(sys.argv[1])).run()
