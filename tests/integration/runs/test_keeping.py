@@ -15,7 +15,7 @@ from tests.integration import people
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
 from tests.integration.runs.conftest import Place, Played, launch
-from tests.integration.uploading import wait_until
+from tests.integration.uploading import crc64, send, sha256, wait_until
 
 
 def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:
@@ -62,6 +62,26 @@ def test_an_artifact_whose_upload_nobody_wrote_down_is_taken_up(lab: Api, runner
     lab.sql("UPDATE upload SET multipart_id = NULL WHERE id = %s", upload_id)  # the API died before it could
     assert runner.begin(claim, "large", data)["id"] == upload_id
     assert lab.sql("SELECT multipart_id FROM upload WHERE id = %s", upload_id) == [opened]
+
+
+@pytest.mark.parametrize("size_bytes", [100, 10_000_000])
+def test_an_artifact_whose_runner_was_killed_while_it_was_completed_is_there(
+    lab: Api, runner: Played, place: Place, size_bytes: int
+) -> None:
+    launch(lab, runner, place.mission)
+    claim, data = runner.claim(), bytes(size_bytes)
+    begun = runner.begin(claim, "map.ply", data)
+    send(runner.api, begun, data)
+    marked = "state = 'completing', completing_since = now(), sha256 = %s, crc64nvme = %s"  # and the store was away
+    hashes = (bytes.fromhex(each) for each in (sha256(data), crc64(data)))
+    lab.sql(f"UPDATE upload SET {marked} WHERE id = %s", *hashes, begun["id"])
+    wanted = {"path": "map.ply", "size_bytes": size_bytes, "sha256": sha256(data)}
+    body = {"attempt": claim["attempt"], "files": [wanted]}
+    (decision,) = runner.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
+    assert decision["decision"] == "present"
+    runner.finish(claim).ok()
+    (kept,) = lab.all(f"/runs/{claim['run_id']}/artifacts")
+    assert (kept["path"], kept["size_bytes"]) == ("map.ply", size_bytes)
 
 
 def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, place: Place) -> None:

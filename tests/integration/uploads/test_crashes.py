@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.site import Site
 from kleinkram.server.uploads import completion
 from kleinkram.server.uploads.jobs import tend_uploads
+from tests.integration import people
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, crc64, send, sha256, sign
@@ -66,6 +68,48 @@ def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id
     _tend(api)
     send(api, upload, body, only=[2])
     assert complete(api, upload, body)["outcome"] == "completed"
+
+
+@pytest.mark.parametrize("size_bytes", [100, _PART + 100])
+def test_who_comes_back_after_the_mark_need_not_wait_for_the_job(api: Api, mission_id: str, size_bytes: int) -> None:
+    body = os.urandom(size_bytes)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body)
+    _mark_only(api, upload, body)
+    file = {"path": "run.bin", "size_bytes": size_bytes, "sha256": sha256(body), "upload_id": upload["id"]}
+    path = f"/missions/{mission_id}/uploads"
+    api.as_(people.person(api).token).post(path, {"files": [file]}).refused(404, "not_found")
+    assert begin(api, mission_id, {"run.bin": body})[0]["problem"]["code"] == "name_leased", "not gone on with"
+    (decision,) = api.post(path, {"files": [file]}).ok()["items"]
+    assert (decision["decision"], decision["file"]["sha256"]) == ("present", sha256(body))
+
+
+def test_a_token_that_may_not_fill_the_mission_ends_nothing_there(api: Api, mission_id: str) -> None:
+    body = os.urandom(100)
+    ada = people.person(api)
+    people.grant(api, ada, Right.create, mission_id=mission_id)
+    elsewhere = api.mission(api.project()["id"])["id"]
+    people.grant(api, ada, Right.create, mission_id=elsewhere)
+    theirs = api.as_(ada.token)
+    upload = begin(theirs, mission_id, {"run.bin": body})[0]["upload"]
+    send(theirs, upload, body)
+    _mark_only(api, upload, body)
+    limited = api.as_(people.token(api, ada, [Scope.upload], limits=[elsewhere]).secret)
+    file = {"path": "run.bin", "size_bytes": 100, "sha256": sha256(body), "upload_id": upload["id"]}
+    limited.post(f"/missions/{mission_id}/uploads", {"files": [file]}).refused(404, "not_found")
+    assert complete(theirs, upload, body)["outcome"] == "completed"
+
+
+def test_who_comes_back_after_the_mark_of_half_an_upload_goes_on(api: Api, mission_id: str) -> None:
+    body = os.urandom(_PART + 100)
+    upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
+    send(api, upload, body, only=[1])
+    _mark_only(api, upload, body)
+    file = {"path": "run.bin", "size_bytes": len(body), "upload_id": upload["id"]}
+    (decision,) = api.post(f"/missions/{mission_id}/uploads", {"files": [file]}).ok()["items"]
+    assert (decision["decision"], [part["number"] for part in decision["upload"]["parts"]]) == ("send", [1])
+    send(api, decision["upload"], body, only=[2])
+    assert complete(api, decision["upload"], body)["outcome"] == "completed"
 
 
 def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: Any) -> None:

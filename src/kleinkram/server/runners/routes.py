@@ -29,6 +29,7 @@ from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.runners import holding, service
 from kleinkram.server.uploads.artifacts import begin_artifacts
+from kleinkram.server.uploads.completion import finish_cut_off_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
 AttemptQuery = Annotated[Attempt, Query()]
@@ -96,6 +97,7 @@ async def begin_uploads_of_run(
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
     async with site.database.begin() as db:
         row = await holding.hold(db, actor, run_id, body.attempt)
+    await finish_cut_off_artifacts(site, actor, run_id=run_id, paths=[each.path for each in body.files])
     return UploadDecisions(items=await begin_artifacts(site, actor, row=row, wanted=body.files))
 
 

@@ -9,7 +9,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Row, case, func, select, update
+from sqlalchemy import ColumnElement, Row, case, func, select, update
 
 from kleinkram.contract.errors import (
     ChecksumMismatch,
@@ -30,6 +30,7 @@ from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
     NotCompleted,
+    UploadFile,
     UploadFinish,
     UploadOutcome,
     UploadState,
@@ -266,6 +267,34 @@ async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended
         changed = update(upload).where(upload.c.id == upload_id, completing).values(**values)
         rows = await db.execute(changed.returning(upload.c.id, upload.c.mission_id))
         await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id) for row in rows])
+
+
+async def finish_cut_off(site: Site, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]) -> None:
+    """Finish those of `actor`'s uploads that were being completed when their client died, and are now gone on with.
+
+    Raises:
+        StoreUnavailable: the store cannot be asked what came of them.
+    """
+    going_on = among(upload.c.id, [each.upload_id for each in wanted if each.upload_id])
+    await _finish(site, actor, (upload.c.mission_id == mission_id) & going_on)
+
+
+async def finish_cut_off_artifacts(site: Site, actor: Actor, *, run_id: uuid.UUID, paths: Sequence[str]) -> None:
+    """Finish what a run left and its runner was completing when it was killed.
+
+    Raises:
+        StoreUnavailable: the store cannot be asked what came of it.
+    """
+    await _finish(site, actor, (upload.c.run_id == run_id) & among(upload.c.path, paths))
+
+
+async def _finish(site: Site, actor: Actor, which: ColumnElement[bool]) -> None:
+    marked = select(upload.c.id).where(which, upload.c.state == UploadState.completing.value)
+    async with site.database.autocommit() as db:
+        cut = (await db.execute(marked)).scalars().all()  # seldom any: whose they are is asked of these alone
+        rows = (await db.execute(queries.own_uploads(actor).where(among(upload.c.id, cut)))).all() if cut else []
+    if rows:
+        await settle(site, actor, rows)
 
 
 async def finish_stale(site: Site, *, older_than_s: float) -> int:

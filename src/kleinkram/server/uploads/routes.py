@@ -25,6 +25,7 @@ router = APIRouter(prefix="/api/v1", tags=["uploads"])
 @router.post("/missions/{mission_id}/uploads", operation_id="begin_uploads")
 async def begin(mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, site: CurrentSite) -> UploadDecisions:
     """Say what you want to upload, and hear what to send."""
+    await completion.finish_cut_off(site, actor, mission_id=mission_id, wanted=body.files)
     return UploadDecisions(items=await service.begin_uploads(site, actor, mission_id=mission_id, wanted=body.files))
 
 
