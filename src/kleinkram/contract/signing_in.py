@@ -90,6 +90,7 @@ class CredentialKind(str, enum.Enum):
     personal = "personal"
     robot = "robot"
     runner = "runner"
+    run = "run"
 
 
 class CredentialRead(BaseModel):

@@ -67,10 +67,30 @@ def test_it_is_never_an_admin_nor_anybodys_account(lab: Api, runner: Played, pla
     )
 
 
+def test_it_is_told_what_it_is(lab: Api, runner: Played, place: Place) -> None:
+    _, run = _begun(lab, runner, place)
+    me = run.get("/me").ok()
+    assert (me["credential"]["kind"], me["credential"]["is_limited"]) == ("run", True)
+    assert (me["emails"], me["groups"], me["is_admin"]) == ([], [], False)
+
+
 def test_it_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
     claim, run = _begun(lab, runner, place)
     runner.finish(claim).ok()
     run.get("/me").refused(401, "not_authenticated")
+
+
+def test_it_outlives_a_request_that_its_runner_gave_up(lab: Api, runner: Played, place: Place) -> None:
+    """A request whose line was cut waits on, and gets the run once more: it does not know that the next one got it."""
+    claim, run = _begun(lab, runner, place)
+    runner.held.clear()
+    again = runner.claim()
+    assert again["run_id"] == claim["run_id"]
+    for each in (run, lab.as_(again["token"])):
+        each.get("/me").ok()
+    runner.finish(claim).ok()
+    for each in (run, lab.as_(again["token"])):
+        each.get("/me").refused(401, "not_authenticated")
 
 
 def test_it_ends_when_the_run_goes_to_another_runner(lab: Api, runner: Played, place: Place) -> None:

@@ -3019,7 +3019,7 @@ export interface components {
          * @description What somebody came with.
          * @enum {string}
          */
-        CredentialKind: "session" | "personal" | "robot" | "runner";
+        CredentialKind: "session" | "personal" | "robot" | "runner" | "run";
         /**
          * CredentialRead
          * @description The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only.

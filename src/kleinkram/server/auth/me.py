@@ -3,12 +3,11 @@
 from sqlalchemy import select
 
 from kleinkram.contract.errors import NotAuthenticated
-from kleinkram.contract.rights import GroupKind
+from kleinkram.contract.rights import GroupKind, Scope
 from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import access_group, membership, person_email, session
-from kleinkram.server.tokens.service import get_token
+from kleinkram.server.tables import access_group, membership, person_email, session, token
 
 
 async def get_me(db: Connection, actor: Actor) -> MeRead:
@@ -38,20 +37,20 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
         person=actor.ref,
         emails=sorted((await db.execute(emails)).scalars()) if is_oneself else [],
         groups=sorted((await db.execute(groups)).scalars()) if is_oneself else [],
-        is_admin=actor.is_admin,
+        is_admin=actor.is_admin and Scope.admin in actor.scopes,
         credential=await _credential(db, actor),
     )
 
 
 async def _credential(db: Connection, actor: Actor) -> CredentialRead:
     if actor.token_id is not None:
-        held = await get_token(db, actor, actor.token_id)
+        held = (await db.execute(select(token).where(token.c.id == actor.token_id))).one()
         return CredentialRead(
             id=held.id,
-            kind=CredentialKind(held.kind.value),
+            kind=CredentialKind(held.kind),
             name=held.name,
-            scopes=held.scopes,
-            is_limited=held.limits is not None,
+            scopes=[Scope(scope) for scope in held.scopes],
+            is_limited=held.is_limited,
             expires_at=held.expires_at,
         )
     row = (await db.execute(select(session).where(session.c.id == actor.session_id))).one()

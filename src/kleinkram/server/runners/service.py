@@ -168,8 +168,11 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
 
 
 async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition) -> str:
-    """Make the token of a run, in place of those that it had: for its mission, and no more than its action asks for."""
-    await db.execute(update(token).where(token.c.run_id == row.id).values(revoked_at=func.now()))
+    """Make the token of a run: for its mission, and no more than its action asks for.
+
+    Those that were made for the same attempt stay good. A request that its runner has given up, and that still waits
+    here, is given the run once more: what runs meanwhile must not lose its token by that.
+    """
     secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
     lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_SPARE_S)
     values = {
