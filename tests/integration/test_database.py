@@ -1,13 +1,15 @@
 """What becomes of a transaction that the database does not let through: named, and to be tried again."""
 
 import asyncio
+from typing import Any
 
 import pytest
 from sqlalchemy import text
+from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server import db
-from kleinkram.server.db import Database, open_database
+from kleinkram.server.db import Connection, Database, open_database
 from kleinkram.server.site import Site
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
@@ -89,19 +91,42 @@ def test_a_connection_that_the_database_closed_is_not_given_out(api: Api) -> Non
     on_site(api, work)
 
 
-def test_statements_by_themselves_begin_no_transaction(api: Api) -> None:
-    """And the connection is as it was for whoever takes it next."""
+async def _ids(connection: Connection) -> list[str]:
+    return [str((await connection.execute(text("SELECT pg_current_xact_id()"))).scalar_one()) for _ in range(2)]
+
+
+async def _fails(connection: Connection) -> None:
+    await connection.execute(text("SELECT 1 / 0"))
+
+
+async def _is_cancelled(connection: Connection) -> None:
+    await asyncio.wait_for(connection.execute(text("SELECT pg_sleep(20)")), 0.2)
+
+
+async def _raises(connection: Connection) -> None:
+    await connection.execute(text("SET LOCAL work_mem = '1MB'"))
+    raise ValueError
+
+
+@pytest.mark.parametrize("trouble", [None, _fails, _is_cancelled, _raises])
+@pytest.mark.parametrize("how", [Database.begin, Database.autocommit])
+def test_statements_by_themselves_begin_no_transaction(api: Api, how: Any, trouble: Any) -> None:
+    """And the connection is as it was for whoever takes it next, whatever became of what it was taken for."""
 
     async def work(site: Site) -> None:
-        ours = text("SELECT pg_current_xact_id()")
         database = open_database(site.settings.model_copy(update={"database_connections": 1}))
         try:
-            async with database.autocommit() as connection:
-                first, second = [(await connection.execute(ours)).scalar_one() for _ in range(2)]
-            assert first != second
-            async with database.begin() as connection:
-                first, second = [(await connection.execute(ours)).scalar_one() for _ in range(2)]
-            assert first == second
+            if trouble is not None:
+                with pytest.raises((DBAPIError, asyncio.TimeoutError, ValueError)):
+                    async with how(database) as connection:
+                        await trouble(connection)
+            for _ in range(2):
+                async with database.autocommit() as connection:
+                    first, second = await _ids(connection)
+                assert first != second
+                async with database.begin() as connection:
+                    first, second = await _ids(connection)
+                assert first == second
         finally:
             await database.close()
 

@@ -6,13 +6,13 @@ store must be asked in between, a flow opens several with `Database.begin`; what
 """
 
 import select
-from collections.abc import AsyncIterator, Iterable, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import psycopg
 from pydantic_core import from_json
-from sqlalchemy import ARRAY, ColumnElement, any_, bindparam, event, literal, make_url
+from sqlalchemy import ARRAY, ColumnElement, Row, any_, bindparam, event, literal, make_url
 from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
@@ -37,7 +37,7 @@ class Database:
 
     def __init__(self, engine: AsyncEngine, *, connections: int) -> None:
         self.engine = engine
-        self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
+        self._transactions = engine.execution_options(isolation_level="READ COMMITTED")
         self._turns = Turns(connections)
 
     @asynccontextmanager
@@ -49,7 +49,7 @@ class Database:
                 (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
         """
         with _said_plainly():
-            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self.engine.begin() as connection:
+            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self._transactions.begin() as connection:
                 yield connection
 
     @asynccontextmanager
@@ -62,7 +62,7 @@ class Database:
             DatabaseUnavailable: as for `begin`.
         """
         with _said_plainly():
-            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self._autocommit.connect() as connection:
+            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self.engine.connect() as connection:
                 yield connection
 
     async def close(self) -> None:
@@ -102,6 +102,9 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         max_overflow=0,
         pool_timeout=_POOL_TIMEOUT_S,
         connect_args=arguments,
+        # Where no transaction is wanted, none is ended either, and nothing is set on the way: most requests read.
+        isolation_level="AUTOCOMMIT",
+        skip_autocommit_rollback=True,
         hide_parameters=True,  # in the text of errors, which is logged
         json_deserializer=from_json,  # five times as fast as Python's own: a page of missions has hundreds
     )
@@ -141,6 +144,15 @@ class Written(UserDefinedType[str]):
     def get_col_spec(self, **_: Any) -> str:
         """Return the type as SQL says it."""
         return f"{self.element}[]"
+
+
+def by_name(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
+    """Return the values of each of the rows of one result by name.
+
+    Their names are found out once; to ask each row for its own takes longer than all that is made of it.
+    """
+    names = rows[0]._fields if rows else ()
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:

@@ -23,15 +23,19 @@ _TYPES: dict[str, Callable[[str], Any]] = {"s": str, "i": int, "d": datetime.dat
 
 @dataclass(frozen=True)
 class Order:
-    """The total order of a list: columns that are never null, the last of them unique; one direction for all."""
+    """The total order of a list: columns that are never null, the last of them unique; one direction for all.
+
+    One order that is written in two ways has a `name`: a cursor of either is good for both.
+    """
 
     columns: Sequence[ColumnElement[Any]]
     descending: bool = False
+    name: str = ""
 
     @cached_property
     def signature(self) -> str:
         """A few characters that differ between orders, so that a cursor of one is refused by another."""
-        text = "|".join(str(column) for column in self.columns) + str(self.descending)
+        text = (self.name or "|".join(str(column) for column in self.columns)) + str(self.descending)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import datetime
+import itertools
 import json
 import uuid
 from typing import Any
@@ -243,6 +244,42 @@ def test_who_sees_few_missions_finds_what_an_admin_finds_in_them(api: Api, sampl
         assert own == all_
     assert set(_told_of_few(api, reader.token)) == {True}, "each statement on files says which missions"
     assert set(_told_of_few(api, many.token)) == {False}
+
+
+@pytest.mark.parametrize("sort", ["start", "-start", "-created", "size"])
+def test_a_list_goes_on_where_somebody_begins_to_see_many_or_few_missions(
+    api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch, sort: str
+) -> None:
+    """Which they see is told to each process a minute late: page by page it may be either."""
+    mission = api.mission(api.project()["id"])["id"]
+    ids = [sample.file(mission, f"{number}.txt", size_bytes=number) for number in range(5)]
+    ids += [sample.file(mission, f"{number}.bag", start_ns=number, end_ns=number) for number in range(2)]
+    reader = people.person(api)
+    people.grant(api, reader, Right.read, mission_id=mission)
+    theirs, found, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
+    for most in itertools.cycle((few.MOST, 0)):
+        monkeypatch.setattr(few, "MOST", most)
+        page = theirs.get("/files", query).ok()
+        found += _ids(page["items"])
+        if page["next"] is None:
+            break
+        query["cursor"] = page["next"]
+    assert found == _ids(api.all("/files", {"sort": sort, "mission_id": mission}))
+    assert sorted(found) == sorted(ids)
+
+
+def test_what_is_kept_for_few_missions_is_not_what_is_kept_for_more(
+    api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missions = [api.mission(api.project()["id"])["id"] for _ in range(3)]
+    ids = [sample.file(mission, "a.mcap") for mission in missions]
+    reader = people.person(api)
+    for mission in missions:
+        people.grant(api, reader, Right.read, mission_id=mission)
+    few._first.cache_clear()
+    for most in (0, few.MOST):
+        monkeypatch.setattr(few, "MOST", most)
+        assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 
 
 def test_a_right_that_is_new_or_gone_shows_at_once_to_who_sees_few_missions(api: Api, sample: Sample) -> None:

@@ -32,7 +32,7 @@ async def knowing_few(db: Connection, actor: Actor) -> Actor:
     now, key = time.monotonic(), (actor.person_id, actor.kind, actor.limits, actor.most, MOST)
     if now - _saw_many.get(key, float("-inf")) < _ASKED_EVERY_S:
         return replace(actor, sees_many=True)
-    mission_ids = (await db.execute(_first(whoever(actor)), asking(actor))).scalars().all()
+    mission_ids = (await db.execute(_first(whoever(actor), MOST + 1), asking(actor))).scalars().all()
     if len(mission_ids) <= MOST:
         return replace(actor, few_mission_ids=frozenset(mission_ids))
     if len(_saw_many) >= _REMEMBERED:
@@ -42,5 +42,5 @@ async def knowing_few(db: Connection, actor: Actor) -> Actor:
 
 
 @lru_cache(maxsize=KEPT)
-def _first(asker: Actor) -> Select[Any]:
-    return visible_missions(asker).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MOST + 1)
+def _first(asker: Actor, count: int) -> Select[Any]:
+    return visible_missions(asker).with_only_columns(mission.c.id, maintain_column_froms=True).limit(count)

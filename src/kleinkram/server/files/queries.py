@@ -39,7 +39,7 @@ from kleinkram.server.access.visible import (
     visible_files,
 )
 from kleinkram.server.access.whoever import KEPT
-from kleinkram.server.db import among, among_given
+from kleinkram.server.db import among, among_given, by_name
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
@@ -96,7 +96,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 
 
 def file_rows(stmt: Select[Any]) -> Select[Any]:
-    """Return the rows that `to_file` reads, of a select that began with `visible_files`."""
+    """Return the rows that `to_files` reads, of a select that began with `visible_files`."""
     narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
 
@@ -111,9 +111,17 @@ def _rows_of_all() -> Select[Any]:
     return file_rows(joined_files())
 
 
+def to_files(rows: Sequence[Row[Any]]) -> list[FileRead]:
+    """Return the files that rows of `file_rows` stand for."""
+    return [_to_file(said) for said in by_name(rows)]
+
+
 def to_file(row: Row[Any]) -> FileRead:
-    """Return the file that a row of `file_rows` stands for."""
-    said = row._asdict()  # at once: a row's attributes, one by one, take longer than all of the rest
+    """Return the file that such a row stands for."""
+    return to_files([row])[0]
+
+
+def _to_file(said: dict[str, Any]) -> FileRead:
     in_project = {"id": said["project_id"], "name": said["project_name"]}
     said["mission"] = {"id": said["mission_id"], "name": said["mission_name"], "project": in_project}
     said["uploaded_by"] = {"id": said["uploaded_by_id"], "name": said["uploaded_by_name"]}
@@ -149,7 +157,7 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 
 @functools.lru_cache(maxsize=KEPT)
 def listed(asked: Asked[FileFilter], sort: FileSort, page: PageRequest) -> Listed:
-    """Return the list of the visible files that match, as `to_file` reads them, for all pages `alike`."""
+    """Return the list of the visible files that match, as `to_files` reads them, for all pages `alike`."""
     return _list(asked, narrow_files(asked.actor, visible_files(asked.actor), asked.matching), sort, page)
 
 
@@ -177,7 +185,7 @@ def is_walk(sort: FileSort) -> bool:
 
 @functools.lru_cache(maxsize=KEPT)
 def page_of_found(asked: Asked[FileFilter], sort: FileSort, *, limit: int) -> Select[Any]:
-    """Return the first page of the visible files that match, as `to_file` reads them."""
+    """Return the first page of the visible files that match, as `to_files` reads them."""
     narrow = narrow_walked if asked.actor.looked.finds_many and is_walk(sort) else narrow_files
     found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
     return page_of(found, file_order(asked.actor, sort), limit=limit, described=rows_of_found)
@@ -199,16 +207,15 @@ def _order(sort: FileSort, *, is_walked: bool) -> Order:
     key = sort.value.removeprefix("-")
     if key == "path":
         return Order([project.c.name, mission.c.name, file.c.path, file.c.id], descending)
-    # The index of times holds _FIRST. With another number it is left alone where only a few missions are seen, or few
-    # files found: the database would walk it past nearly all files to find these.
-    first = _FIRST if is_walked else _FIRST + 1
-    unknown = literal(first if descending else _LAST, BigInteger)
+    start = func.coalesce(file.c.start_ns, literal(_FIRST if descending else _LAST, BigInteger))
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,
         "size": blob.c.size_bytes,
-        "start": func.coalesce(file.c.start_ns, unknown),
+        # An index holds these times, but no sum with them: so it is left alone where only a few missions are seen, or
+        # few files found. The database would walk it past nearly all files to find these.
+        "start": start if is_walked else start + literal(0, BigInteger),
     }
-    return Order([columns[key], file.c.id], descending)
+    return Order([columns[key], file.c.id], descending, name=f"files by {key}")
 
 
 def count_all(actor: Actor) -> Select[Any]:

@@ -39,7 +39,7 @@ from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.looking import meets_many
-from kleinkram.server.search.topics import to_topic
+from kleinkram.server.search.topics import to_topics
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.site import Site
 
@@ -56,12 +56,12 @@ async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]
     Raises:
         NotFound: one of them is not there, or not for this actor.
     """
-    return [queries.to_file(row) for row in await _rows(db, actor, file_ids)]
+    return queries.to_files(await _rows(db, actor, file_ids))
 
 
 async def read_visible_files(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> list[FileRead]:
     """Return those of the files that are there for this actor, in no order, by one query."""
-    return [queries.to_file(row) for row in await rows_by_id(db, actor, file_ids)]
+    return queries.to_files(await rows_by_id(db, actor, file_ids))
 
 
 async def rows_by_id(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> Sequence[Row[Any]]:
@@ -102,7 +102,7 @@ async def list_files(
         else:
             wanted = queries.listed(asked, sort, page.alike)
         rows = await fetch_listed(db, wanted, page, values(actor, matching))
-    return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(items=queries.to_files(rows.items), next=rows.next, total=rows.total)
 
 
 async def list_found(db: Connection, actor: Actor, *, found: FileFilter, sort: FileSort, limit: int) -> Page[FileRead]:
@@ -118,7 +118,7 @@ async def list_found(db: Connection, actor: Actor, *, found: FileFilter, sort: F
         given["found_file_ids"] = actor.looked.found.first
     page = queries.page_of_found(asked_alike(actor, found), sort, limit=limit)
     rows = cut((await db.execute(page, given)).all(), queries.file_order(actor, sort), limit=limit, total=None)
-    return Page(items=[queries.to_file(row) for row in rows.items], next=rows.next, total=None)
+    return Page(items=queries.to_files(rows.items), next=rows.next, total=None)
 
 
 def sorted_order(sort: FileSort) -> Order:
@@ -155,7 +155,7 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
     rows = await fetch_listed(db, topics, page, asking(actor) | {"file_id": file_id})
     if not rows.items:
         await _row(db, actor, file_id)
-    return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(items=to_topics(rows.items), next=rows.next, total=rows.total)
 
 
 async def update_file(

@@ -97,7 +97,7 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
     row = (await db.execute(queries.whole_mission(whoever(actor)), given)).one_or_none()
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
-    return queries.to_mission(row)
+    return queries.to_missions([row])[0]
 
 
 async def list_missions(
@@ -125,7 +125,7 @@ async def list_missions(
         rows = await fetch_listed(db, wanted, page, values(actor, matching))
     else:
         rows = await fetch_listed(db, queries.list_matching(actor, matching, found, sort, page), page)
-    return Page(items=[queries.to_mission(row) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(items=queries.to_missions(rows.items), next=rows.next, total=rows.total)
 
 
 async def list_found(
@@ -141,7 +141,7 @@ async def list_found(
     rows = (await db.execute(page, values(actor, found))).all()
     total = (rows[0].total if rows else 0) if count else None
     paged = cut(rows, queries.mission_order(actor, sort), limit=limit, total=total)
-    return Page(items=[queries.to_mission(row) for row in paged.items], next=paged.next, total=total)
+    return Page(items=queries.to_missions(paged.items), next=paged.next, total=total)
 
 
 async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int:

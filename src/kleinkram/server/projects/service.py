@@ -44,7 +44,7 @@ async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> Pr
     row = (await db.execute(queries.project_by_id(whoever(actor)), given)).one_or_none()
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
-    return queries.to_project(row)
+    return queries.to_projects([row])[0]
 
 
 async def list_projects(
@@ -57,7 +57,7 @@ async def list_projects(
     """
     wanted = queries.listed(whoever(actor), name, text, sort, page.alike)
     rows = await fetch_listed(db, wanted, page, asking(actor))
-    return Page(items=[queries.to_project(row) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(items=queries.to_projects(rows.items), next=rows.next, total=rows.total)
 
 
 async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate, creators: Creators) -> ProjectRead:

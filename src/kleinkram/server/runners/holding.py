@@ -34,7 +34,7 @@ from kleinkram.server.runners import queries
 from kleinkram.server.runners.service import thinned
 from kleinkram.server.runs.ending import end_run
 from kleinkram.server.runs.putting_back import put_back
-from kleinkram.server.search.topics import to_topic, topic_rows
+from kleinkram.server.search.topics import to_topics, topic_rows
 from kleinkram.server.site import Site
 from kleinkram.server.storage import PartTarget
 from kleinkram.server.tables import (
@@ -87,8 +87,8 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
         mission=place,
-        files=[files.to_file(each) for each in await db.execute(files.file_rows(seen))],
-        topics=[to_topic(each) for each in topics],
+        files=files.to_files((await db.execute(files.file_rows(seen))).all()),
+        topics=to_topics(topics.all()),
         recordings=[recordings.to_recording(each) for each in await db.execute(named)],
     )
 

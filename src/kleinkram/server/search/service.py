@@ -22,7 +22,7 @@ from kleinkram.server.search import queries
 from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.few import find_few
 from kleinkram.server.search.looking import Outlook, look_ahead
-from kleinkram.server.search.topics import TOPIC_ORDER, to_topic
+from kleinkram.server.search.topics import TOPIC_ORDER, to_topics
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000
@@ -109,7 +109,7 @@ async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, pag
         InvalidCursor: the cursor is not of this list.
     """
     rows = await fetch_page(db, queries.matching_topics(actor, matching), TOPIC_ORDER, page)
-    return Page(items=[to_topic(row) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(items=to_topics(rows.items), next=rows.next, total=rows.total)
 
 
 async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilter) -> StatsRead:
