@@ -9,6 +9,7 @@ import psycopg
 
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.db import open_database
+from kleinkram.server.runs.jobs import tend_once as tend_runs
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
@@ -29,10 +30,11 @@ def sql(house: House, statement: str, *values: object) -> list[tuple[Any, ...]]:
 
 
 def tidy(house: House) -> None:
-    """Do at once what the worker's periodic jobs do in time: finish and clean uploads, sweep what nothing refers to."""
+    """Do at once what the worker's periodic jobs do in time: see to uploads and runs, sweep what nothing refers to."""
 
     async def all_rounds(site: Site) -> None:
         await tend_uploads(site, stale_s=0)
+        await tend_runs(site)
         for _ in range(2):
             await sweep_once(site)
 
@@ -55,9 +57,12 @@ def held_bytes(house: House) -> int:
     """Return how many bytes its store holds, also of parts that are no objects yet."""
 
     async def weigh(site: Site) -> int:
-        parts = [await site.storage.held_parts(*each) or [] for each in await site.storage.open_multiparts("")]
-        objects = await site.storage.sizes("")
-        return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
+        while True:
+            objects = await site.storage.sizes("")
+            parts = [await site.storage.held_parts(*each) or [] for each in await site.storage.open_multiparts("")]
+            # What was joined meanwhile would count twice, as parts and as an object.
+            if await site.storage.sizes("") == objects:
+                return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
 
     return on_site(house, weigh)
 

@@ -100,7 +100,7 @@ def _rate(one: Round) -> int:
 
 def _launch(house: House) -> str:
     script = house.home / "lasting.py"
-    launched = house.terminal.run("action", "run", script, "-p", "p", "-m", "drive", "--json").json()
+    launched = house.terminal.run("action", "run", script, "-p", "p", "-m", "drive", "--force", "--json").json()
     return str(launched["items"][0]["run"]["id"])
 
 

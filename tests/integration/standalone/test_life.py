@@ -169,6 +169,9 @@ def test_every_part_that_is_killed_comes_back(shared_instance: Instance) -> None
 
 def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_instance: Instance) -> None:
     process = shared_instance.up()
+    wait_until(
+        lambda: "sleep" in [Path(f"/proc/{each}/comm").read_text().strip() for each in shared_instance.processes]
+    )
     before = set(shared_instance.processes)
     process.kill()
     process.communicate(timeout=60)
