@@ -8,6 +8,8 @@ from kleinkram.contract.events import Change, Refetch
 
 # The server says something, if only that it is still there, every 15 s.
 _PAUSE_S = 1.0
+# After no event that there ever was: to who comes with it, the server says that changes were missed.
+_NOWHERE = "nowhere"
 
 
 class Events:
@@ -40,4 +42,5 @@ class Events:
                     yield self._api.understood(Refetch, "GET /events", value.encode())
             if ends_at is not None and time.monotonic() >= ends_at:
                 return
+            after = after or _NOWHERE
             time.sleep(_PAUSE_S if ends_at is None else min(_PAUSE_S, max(0.0, ends_at - time.monotonic())))

@@ -83,4 +83,4 @@ def _said(answer: BaseModel | KleinkramError | bytes | None) -> tuple[int, bytes
         return answer.status, to_problem(answer, "r").model_dump_json().encode()
     if isinstance(answer, BaseModel):
         return 200, answer.model_dump_json().encode()
-    return 204, answer
+    return 200 if answer else 204, answer
