@@ -78,6 +78,43 @@ def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, dr
     assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
 
 
+@pytest.mark.parametrize("said_by", ["nothing", "path", "label", "topic", "mission", "project"])
+@pytest.mark.usefixtures("drawn")
+def test_of_very_many_files_without_a_time_those_with_one_come_first(start_api: StartApi, said_by: str) -> None:
+    """And where none has a time, the others are not walked through, nor are all that match gone through."""
+    api, said = (
+        start_api(),
+        dict.fromkeys(["path", "label", "topic", "mission", "project"], "plain") | {said_by: "sheet"},
+    )
+    sample, mission = Sample(api), api.mission(api.project(name="of many")["id"], name="of many")["id"]
+    ids = [sample.file(mission, f"a/sheet_{number}.yaml") for number in range(_FILES)]
+    project = api.project(name=f"{said['project']} project")["id"]
+    timed = sample.file(
+        api.mission(project, name=f"{said['mission']} mission")["id"],
+        f"a/{said['path']}.mcap",
+        start_ns=5,
+        end_ns=6,
+        labels=(f"of {said['label']}",),
+        topics=[{"name": f"/{said['topic']}"}],
+    )
+    in_order = ([] if said_by == "nothing" else [timed]) + sorted(ids, reverse=True)
+    for query, shown in (
+        ("sheet", set(in_order)),
+        ("sheet sheet_1", _holding(api, "sheet_1")),
+        ("a sheet", set(in_order)),
+    ):
+        found = api.get("/search", {"query": query, "limit": "5"}).ok()
+        assert [each["id"] for each in found["files"]["items"]] == [each for each in in_order if each in shown][:5], (
+            query
+        )
+        assert query == "sheet sheet_1" or found["is_whole"] == (said_by != "nothing")
+    assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
+
+
+def _holding(api: Api, word: str) -> set[str]:
+    return {str(found) for (found,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
+
+
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
 @pytest.mark.usefixtures("drawn")
 def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(

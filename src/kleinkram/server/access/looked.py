@@ -54,6 +54,8 @@ class Looked:
     # The word by which files are looked up, where few hold it; or whether very many files are found.
     led_by: str | None = None
     finds_many: bool = False
+    # Whether it is known that all of those are files without a time.
+    is_untimed: bool = False
     # Whether everything is gone through that may match.
     goes_through_all: bool = False
     # Whether files are asked about mission by mission, each time within a statement of its own.

@@ -188,6 +188,9 @@ def page_of_found(asked: Asked[FileFilter], sort: FileSort, *, limit: int) -> Se
     """Return the first page of the visible files that match, as `to_files` reads them."""
     narrow = narrow_walked if asked.actor.looked.finds_many and is_walk(sort) else narrow_files
     found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
+    if asked.actor.looked.is_untimed and sort is FileSort.start_desc:
+        # They come last: what comes before them need not be walked.
+        found = found.where(func.coalesce(file.c.start_ns, literal(_FIRST, BigInteger)) == _FIRST)
     return page_of(found, file_order(asked.actor, sort), limit=limit, described=rows_of_found)
 
 

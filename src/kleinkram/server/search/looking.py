@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
-from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func, select, true
+from sqlalchemy import ARRAY, CTE, BigInteger, ColumnElement, Select, Text, and_, cast, func, select, true
+from sqlalchemy.dialects.postgresql import array
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.keys import is_glob
@@ -20,7 +21,7 @@ from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection, among_given
 from kleinkram.server.search.asked import Asked, asked_alike, values
 from kleinkram.server.search.matching import file_conditions
-from kleinkram.server.search.words import file_holds, has_index, look_up, words_of
+from kleinkram.server.search.words import file_holds, has_index, is_known_untimed, look_up, words_of
 from kleinkram.server.tables import file, mission, topic
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
@@ -61,10 +62,13 @@ def drawn_files() -> CTE:
     return select(file.c.id).order_by(file.c.id).limit(DRAWN).cte("drawn").prefix_with("MATERIALIZED")
 
 
-async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tuple[Actor, Outlook | None]:
+async def look_ahead(
+    db: Connection, actor: Actor, *filters: FileFilter, lists: bool = False
+) -> tuple[Actor, Outlook | None]:
     """Return who asks, knowing where to begin with the first filter, and what was seen; None for who sees little.
 
     The words are those of the first filter, which the others share. Where many are found, joins are left row by row.
+    Who `lists` what is found can do with files that all have no time.
 
     Raises:
         InvalidQuery: a `where` cannot be used, or there are too many words.
@@ -78,14 +82,20 @@ async def look_ahead(db: Connection, actor: Actor, *filters: FileFilter) -> tupl
         return actor, Outlook([0] * len(filters), 0, 0)
     await let_join(db, actor, freely=False)
     row = (await db.execute(tried, values(actor, filters[0]))).one()
-    hits, held = list(row[: len(filters)]), dict(zip(words, row[len(filters) :], strict=False))
+    hits, held, timed = (
+        list(row[: len(filters)]),
+        *(dict(zip(words, each, strict=True)) for each in (row.held, row.timed)),
+    )
     files = row.drawn if row.drawn < DRAWN else row.drawn * _IDS // max(row.last.int, 1)
     rarest = min(filter(has_index, words), key=lambda word: held[word], default=None)
     is_led = rarest is None or held[rarest] < MANY
     outlook = Outlook(hits, row.drawn, files, MANY if is_led else _MANY_TOGETHER, row.blob_ids or NONE_AT_ALL)
     # Files without a time come last: where nearly all are such, a walk would meet all others first.
-    if outlook.finds_many() and row.timed < _MANY_TOGETHER:
-        outlook = replace(outlook, many=DRAWN + 1)
+    if outlook.finds_many() and row.found_timed < _MANY_TOGETHER:
+        seldom = [each for each in actor.looked.words if has_index(each.word) and not timed[each.word]]
+        is_untimed = lists and await is_known_untimed(db, seldom)
+        actor = replace(actor, looked=replace(actor.looked, is_untimed=is_untimed))
+        outlook = outlook if is_untimed else replace(outlook, many=DRAWN + 1)
     if outlook.finds_many():
         return replace(actor, looked=replace(actor.looked, finds_many=True)), outlook
     await let_join(db, actor, freely=True)
@@ -105,9 +115,10 @@ async def let_join(db: Connection, actor: Actor, *, freely: bool) -> None:
 
 @lru_cache(maxsize=KEPT)
 def _tried(asked: Sequence[Asked[FileFilter]], drawn: CTE) -> Select[Any]:
-    """Return how many files drawn each filter finds, and each word of the first; and what was drawn.
+    """Return how many files drawn each filter finds; and what was drawn.
 
-    Of the first also the blobs, and how many of its files are `timed`.
+    Of the first also the blobs, and how many of its files have a time; of its words how many files hold them (`held`),
+    and how many of these have a time (`timed`).
     """
     actor = asked[0].actor
     conditions = [and_(true(), *file_conditions(actor, each.matching)) for each in asked]
@@ -120,15 +131,21 @@ def _tried(asked: Sequence[Asked[FileFilter]], drawn: CTE) -> Select[Any]:
     tried = seen.with_only_columns(*holding, file.c.start_ns, file.c.blob_id, maintain_column_froms=True)
     # With a limit the database tries each once, and not for each of the numbers anew.
     each = tried.limit(DRAWN).subquery()
-    held = [each.c[condition.name] for condition in holding]
-    held += held[:1] if is_word else []
+    found = [each.c[condition.name] for condition in holding]
+    held, has_time = (found[:1] if is_word else found[len(asked) :]), each.c.start_ns.is_not(None)
     return select(
-        *(func.count().filter(condition) for condition in held),
-        func.count().filter(held[0], each.c.start_ns.is_not(None)).label("timed"),
-        cast(func.array_agg(each.c.blob_id, type_=ARRAY(Text)).filter(held[0]), Text).label("blob_ids"),
+        *(func.count().filter(condition) for condition in found[: len(asked)]),
+        func.count().filter(found[0], has_time).label("found_timed"),
+        cast(func.array_agg(each.c.blob_id, type_=ARRAY(Text)).filter(found[0]), Text).label("blob_ids"),
+        _numbers([func.count().filter(condition) for condition in held]).label("held"),
+        _numbers([func.count().filter(condition, has_time) for condition in held]).label("timed"),
         select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
         select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
     )
+
+
+def _numbers(numbers: Sequence[ColumnElement[int]]) -> ColumnElement[Any]:
+    return cast(array(numbers, type_=BigInteger), ARRAY(BigInteger))
 
 
 def walking() -> ColumnElement[str]:

@@ -49,6 +49,7 @@ from kleinkram.server.search.words import (
     is_named,
     mission_holds,
     mission_may_hold,
+    of_paths,
     words_of,
 )
 from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
@@ -202,7 +203,7 @@ def _own_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.recording_id is not None:
         conditions.append(file.c.recording_id == matching.recording_id)
     if matching.path:
-        conditions.append(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path]))
+        conditions.append(of_paths(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path])))
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]

@@ -39,7 +39,7 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
         InvalidQuery: the query cannot be read; says which word, at which column.
     """
     matching = parse(text)
-    actor, outlook = await look_ahead(db, actor, matching)
+    actor, outlook = await look_ahead(db, actor, matching, lists=sort is FileSort.start_desc)
     if actor.looked.finds_nothing:
         empty: Page[Any] = Page(items=[], total=0)
         return SearchRead(

@@ -207,9 +207,18 @@ def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Condition
 
 
 def _path_or_label_holds(said: Said) -> Conditions:
+    return [of_paths(key_holds(file.c.path_key, said)), _label_holds(said)]
+
+
+def _label_holds(said: Said) -> ColumnElement[bool]:
     # Most files have no label: to see that is quicker than to join none.
-    labelled = and_(func.cardinality(file.c.labels) > 0, holds(func.joined(file.c.labels), said))
-    return [key_holds(file.c.path_key, said), labelled]
+    return and_(func.cardinality(file.c.labels) > 0, holds(func.joined(file.c.labels), said))
+
+
+def of_paths(condition: ColumnElement[bool]) -> ColumnElement[bool]:
+    """Return a condition on the path of a `file` as both indexes of paths have it: with a time, and without one."""
+    timed = file.c.start_ns.is_not(None)
+    return or_(and_(timed, condition), and_(~timed, condition))
 
 
 def _mission_says(said: Said, *, whole: bool) -> Conditions:
@@ -262,6 +271,27 @@ async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[S
         )
         for number, word in enumerate(asked)
     )
+
+
+async def is_known_untimed(db: Connection, words: Sequence[Said]) -> bool:
+    """Say whether the indexes of paths and labels know that no file which holds all of some words has a time.
+
+    So it is where one of them is in nothing but paths and labels, and in none of a file that has one.
+    """
+    in_files_alone = [each for each in words if {each.project_ids, each.mission_ids, each.topics} == {NONE_AT_ALL}]
+    if not in_files_alone:
+        return False
+    general = in_general(in_files_alone)
+    held = (await db.execute(_timed(general), values_of(in_files_alone))).one()
+    return NONE_AT_ALL in held
+
+
+@lru_cache(maxsize=KEPT)
+def _timed(words: Sequence[Said]) -> Select[Any]:
+    """Return for each word whether a file that has a time holds it: the id of one, in an array."""
+    of_time = select(file.c.id).where(file.c.start_ns.is_not(None))
+    held = (of_time.where(or_(key_holds(file.c.path_key, word), _label_holds(word))) for word in words)
+    return select(*(_first(f"timed_{number}", each, 0) for number, each in enumerate(held)))
 
 
 @lru_cache(maxsize=KEPT)

@@ -77,8 +77,21 @@ file = Table(
     ),
     Index("ix_file_deleted_at", "deleted_at", postgresql_where=text("deleted_at IS NOT NULL")),
     Index("ix_file_labels", "labels", postgresql_using="gin"),
-    # For words of searches.
-    Index("ix_file_words", "path_key", postgresql_using="gin", postgresql_ops={"path_key": "gin_trgm_ops"}),
+    # For words of searches: two, so that one alone tells whether a word is in any path of a file that has a time.
+    Index(
+        "ix_file_words_timed",
+        "path_key",
+        postgresql_using="gin",
+        postgresql_ops={"path_key": "gin_trgm_ops"},
+        postgresql_where=text("start_ns IS NOT NULL"),
+    ),
+    Index(
+        "ix_file_words_untimed",
+        "path_key",
+        postgresql_using="gin",
+        postgresql_ops={"path_key": "gin_trgm_ops"},
+        postgresql_where=text("start_ns IS NULL"),
+    ),
 )
 
 Index(
