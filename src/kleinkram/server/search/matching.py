@@ -40,7 +40,7 @@ from kleinkram.server.access.visible import sees_whole_missions, shown_files, sh
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.db import Written
 from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
-from kleinkram.server.search.kept import may_have_topic, where_it_may_be
+from kleinkram.server.search.kept import is_there, may_have_topic, where_it_may_be
 from kleinkram.server.search.where import condition
 from kleinkram.server.search.words import (
     blob_has_topic,
@@ -157,7 +157,8 @@ def _by_files(actor: Actor, matching: FileFilter) -> Select[Any] | ColumnElement
     live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
     each = replace(actor, looked=replace(actor.looked, asks_missions=True))
     files = inside.where(*live, *file_conditions(each, matching)).correlate(mission, project)
-    return where_it_may_be(_may_hold(actor, matching), files.exists())
+    # Mission by mission: as EXISTS, the database may well look up all files that match, of all missions.
+    return where_it_may_be(_may_hold(actor, matching), is_there(files.with_only_columns(true())))
 
 
 def _may_hold(actor: Actor, matching: FileFilter) -> Conditions:
