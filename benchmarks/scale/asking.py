@@ -4,6 +4,8 @@ import asyncio
 import math
 import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -22,6 +24,8 @@ _TIMES, _WARM = int(os.environ.get("KLEINKRAM_BENCH_TIMES", "20")), 2
 # What has no bar takes long.
 _SELDOM = 2
 _LEAST_SHARE, _MOST_BESIDE_ADMIN = 0.5, 1.3
+# So many clients keep one worker busy while each of them waits for its answer to come and go.
+_CLIENTS, _SECONDS = 4, 2.0
 
 
 def list_rows(
@@ -39,7 +43,8 @@ def list_rows(
             times = _ask_in_turn(pool, url, place, tokens)
             ratios[place.name] = statistics.median(times["reader"]) / statistics.median(times["admin"])
             bare_ms = statistics.mean(_bare(statements[place.path], database_url, _TIMES if place.most_ms else _SELDOM))
-            yield _row(label, place, times["admin"], bare_ms)
+            rps = 0.0 if place.most_ms is None else _served(f"{url}/api/v1/{place.path}", tokens["admin"])
+            yield _row(label, place, times["admin"], bare_ms, rps)
     worst = max(ratios, key=lambda name: ratios[name])
     yield {
         "what": f"{label}: the same as an ordinary person with many grants, beside an admin",
@@ -50,19 +55,34 @@ def list_rows(
     }
 
 
-def _row(label: str, place: Place, times: list[float], bare_ms: float) -> Row:
+def _row(label: str, place: Place, times: list[float], bare_ms: float, rps: float) -> Row:
+    """Return what was measured, beside a loop that sends the same SQL and nothing else, one after the other."""
     p95 = percentile(times, 95)
-    share = bare_ms / statistics.mean(times)
-    limit = "" if place.most_ms is None else f"p95 <= {place.most_ms:.0f} ms, "
-    return {
+    share, one = rps * bare_ms / 1000, bare_ms / statistics.mean(times)
+    shares = f"{_CLIENTS} clients get {share:.2f} of a bare loop's rps, one gets {one:.2f}"
+    row = {
         "what": f"{label}: {place.name}",
-        "measured": f"median {statistics.median(times):.0f} ms, p95 {p95:.0f} ms; {share:.2f} of its bare SQL's rps",
-        "bar": f"{limit}>= {_LEAST_SHARE} of the SQL alone",
-        "met": (place.most_ms is None or p95 <= place.most_ms) and share >= _LEAST_SHARE,
+        "measured": f"median {statistics.median(times):.0f} ms, p95 {p95:.0f} ms",
+        "bar": "",
+        "met": True,
         "path": place.path,
         "ms": times,
         "bare_ms": bare_ms,
     }
+    if place.most_ms is None:
+        return row
+    return row | {
+        "measured": f"{row['measured']}; {shares}",
+        "bar": f"p95 <= {place.most_ms:.0f} ms, the worker's rps >= {_LEAST_SHARE} of a bare loop's",
+        "met": p95 <= place.most_ms and share >= _LEAST_SHARE,
+        "rps": rps,
+    }
+
+
+def _served(url: str, token: str) -> float:
+    """Return how many answers a second one worker gives, to several clients."""
+    command = [sys.executable, "-m", "benchmarks.scale.several", url, token, str(_CLIENTS), str(_SECONDS)]
+    return float(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 
 def percentile(values: list[float], percent: float) -> float:
