@@ -1,7 +1,7 @@
 """Words of paths are looked up apart in files that have a time and in those that have none.
 
 So what is found among the latter alone, which come last in lists, need not be looked for among all others first. With 2
-million files the migration takes two minutes.
+million files the migration takes less than half a minute.
 """
 
 import sqlalchemy as sa
