@@ -81,7 +81,7 @@ class Client:
             return made
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *Client.__annotations__]
+        return [*{*super().__dir__(), *Client.__annotations__}]
 
     def __enter__(self) -> Self:
         return self

@@ -172,6 +172,7 @@ class HeldRun:
                 self._begin()
             return self._watch()
         except CannotStart as error:
+            self._check_held()  # what was starting may have been killed for an order
             return error.ending
         except Told as told:
             if told.order is not Order.cancel:

@@ -34,7 +34,8 @@ _MOST_CHARACTERS = 2000
 _MOST_PROBLEMS = 200
 _ROUNDS = 5
 _AGAIN_S = 2.0
-# A server or a store that is away over the weekend comes back, and the runner keeps what a run left meanwhile.
+# A store that is away over the weekend comes back, and the runner keeps what a run left meanwhile. So it does where the
+# server is away, but another runner may be the first to be given the run when that is back.
 _AWAY_S = 7 * 86400.0
 _AWAY = (ServerUnreachable, StoreUnreachable, StoreUnavailable, DatabaseUnavailable)
 # A server in trouble comes back; for one that is away is waited as long as it takes.

@@ -2,6 +2,7 @@
 
 import uuid
 from collections.abc import Iterator
+from urllib.parse import urlencode
 
 import pytest
 
@@ -111,6 +112,41 @@ def test_of_very_many_files_without_a_time_those_with_one_come_first(start_api: 
     assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
 
 
+@pytest.mark.usefixtures("drawn")
+def test_of_very_many_files_that_are_all_in_few_missions_these_are_found(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether or not one of them is among the missions drawn by lot."""
+    api = start_api()
+    sample, project = Sample(api), api.project(name="of many")["id"]
+    missions = [api.mission(project, name=f"plain {number}")["id"] for number in range(6)]
+    for mission in missions:
+        sample.file(mission, "other.mcap", start_ns=1, end_ns=2)
+    full = api.mission(project, name="plain full")["id"]
+    for number in range(_FILES):
+        sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
+    drawn_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
+    monkeypatch.setattr(looking, "_MISSIONS_DRAWN", 1)
+    _forget_statements()
+    found = api.get("/search", {"query": "sheet"}).ok()
+    _forget_statements()
+    assert not found["is_whole"]
+    assert [each["id"] for each in found["missions"]["items"]] == [full]
+    assert found["missions"]["total"] == 1 or drawn_first == full
+
+
+@pytest.mark.parametrize("globs", [["*sheet*"], ["*sheet*", "*notes*"]])
+def test_paths_are_looked_up_in_both_indexes_of_their_words(start_api: StartApi, globs: list[str]) -> None:
+    api = start_api()
+    Sample(api).file(api.mission(api.project(name="of paths")["id"])["id"], "sheet.mcap")
+    asked = [("sort", "size"), *(("path", glob) for glob in globs)]
+    with api.statements() as statements:
+        (found,) = api.get(f"/files?{urlencode(asked)}").ok()["items"]
+    assert found["path"] == "sheet.mcap"
+    (listed,) = (each for each in statements if "path_key LIKE" in each)
+    assert listed.count("start_ns IS NULL AND") == listed.count("start_ns IS NOT NULL AND") == len(globs)
+
+
 def _holding(api: Api, word: str) -> set[str]:
     return {str(found) for (found,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
 
@@ -153,6 +189,7 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
 
 
 def _forget_statements() -> None:
+    mission_queries.count_drawn.cache_clear()
     mission_queries.page_of_found.cache_clear()
     file_queries.page_of_found.cache_clear()
 

@@ -144,10 +144,11 @@ async def list_found(
     return Page(items=queries.to_missions(paged.items), next=paged.next, total=total)
 
 
-async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int:
+async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int | None:
     """Return about how many missions a query finds that finds very many files; exactly, where there are few missions.
 
-    What is listed afterwards in the same transaction is walked in its order.
+    Null where it finds so few of very many that none was met by lot. What is listed afterwards in the same transaction
+    is walked in its order.
 
     Raises:
         InvalidQuery: a `where` cannot be used.

@@ -178,9 +178,14 @@ def drawn_missions() -> CTE:
     return select(mission.c.id).order_by(mission.c.id).limit(_MISSIONS_DRAWN).cte("drawn").prefix_with("MATERIALIZED")
 
 
-def estimate_missions(hits: int, drawn: int, last_id: int) -> int:
-    """Return about how many missions are found where so many of those drawn are; exactly where all were drawn."""
-    return hits if drawn < _MISSIONS_DRAWN else rounded(hits * _IDS // max(last_id, 1))
+def estimate_missions(hits: int, drawn: int, last_id: int) -> int | None:
+    """Return about how many missions are found where so many of those drawn are; exactly where all were drawn.
+
+    Null where none of those drawn is found, and others may be.
+    """
+    if drawn < _MISSIONS_DRAWN:
+        return hits
+    return rounded(hits * _IDS // max(last_id, 1)) or None
 
 
 def rounded(number: int) -> int:

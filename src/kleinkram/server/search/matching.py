@@ -32,7 +32,6 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.contract.names import name_key
 from kleinkram.contract.query.parsing import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Found
@@ -204,7 +203,7 @@ def _own_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.recording_id is not None:
         conditions.append(file.c.recording_id == matching.recording_id)
     if matching.path:
-        conditions.append(of_paths(matches_any(file.c.path_key, [name_key(glob) for glob in matching.path])))
+        conditions.append(or_(*(of_paths(matches_key(file.c.path_key, glob)) for glob in matching.path)))
     if matching.label:
         conditions.append(_labelled(matching.label))
     conditions += [condition(expression) for expression in matching.where]

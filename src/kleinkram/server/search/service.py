@@ -1,6 +1,7 @@
 """What is asked across missions and files."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row
@@ -88,10 +89,15 @@ async def _estimated(
     given = values(actor, matching) | {"found_blob_ids": outlook.blob_ids}
     rows = (await db.execute(topics, given)).all()
     total = await missions.estimate_found(db, actor, matching)
-    missions_found = await missions.list_found(db, actor, found=matching, sort=_LATEST, limit=limit, count=False)
+    # Where so few missions hold them that none was met by lot, these are found by their files: one by one, the database
+    # would look into nearly all others first.
+    looked = replace(actor.looked, finds_many=total is not None)
+    missions_found = await missions.list_found(
+        db, replace(actor, looked=looked), found=matching, sort=_LATEST, limit=limit, count=total is None
+    )
     files_found = await files.list_found(db, actor, found=matching, sort=sort, limit=limit)
     return (
-        missions_found.model_copy(update={"total": total}),
+        missions_found if total is None else missions_found.model_copy(update={"total": total}),
         files_found.model_copy(update={"total": outlook.estimate()}),
         _topics_of(rows, times=outlook.files / outlook.drawn),
     )

@@ -71,10 +71,10 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
         reads = {read.id: read for read in await files.read_visible_files(db, actor, list(made.values()))}
     outcomes: list[UploadOutcome] = []
     for finish in finishes:
-        read = reads.get(made.get(finish.upload_id, finish.upload_id))
-        is_unseen = finish.upload_id in made and Scope.read not in actor.scopes
-        is_there = read is not None or is_unseen or finish.upload_id in artifacts
-        if is_there and finish.upload_id not in failures:
+        # Made, and not seen: by who may not read, or since it was deleted before it could be looked at.
+        is_made = finish.upload_id in made or finish.upload_id in artifacts
+        if is_made and finish.upload_id not in failures:
+            read = reads.get(made.get(finish.upload_id, finish.upload_id))
             outcomes.append(Completed(upload_id=finish.upload_id, file=read))
         else:
             error = failures.get(finish.upload_id, UploadGone(upload_id=str(finish.upload_id)))
