@@ -63,6 +63,7 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
         rows = await _mark(db, actor, finishes, failures)
     pending = [row for row in rows.values() if row.id not in failures and row.state != UploadState.done.value]
     failures |= await settle(site, actor, pending)
+    fresh = {row.id for row in pending}
     async with site.database.begin() as db:
         columns = (upload.c.id, upload.c.file_id, upload.c.run_id, upload.c.state)
         found = (await db.execute(select(*columns).where(among(upload.c.id, rows)))).all()
@@ -71,10 +72,11 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
         reads = {read.id: read for read in await files.read_visible_files(db, actor, list(made.values()))}
     outcomes: list[UploadOutcome] = []
     for finish in finishes:
+        read = reads.get(made.get(finish.upload_id, finish.upload_id))
         # Made, and not seen: by who may not read, or since it was deleted before it could be looked at.
-        is_made = finish.upload_id in made or finish.upload_id in artifacts
-        if is_made and finish.upload_id not in failures:
-            read = reads.get(made.get(finish.upload_id, finish.upload_id))
+        is_unseen = finish.upload_id in made and (Scope.read not in actor.scopes or finish.upload_id in fresh)
+        is_there = read is not None or is_unseen or finish.upload_id in artifacts
+        if is_there and finish.upload_id not in failures:
             outcomes.append(Completed(upload_id=finish.upload_id, file=read))
         else:
             error = failures.get(finish.upload_id, UploadGone(upload_id=str(finish.upload_id)))
