@@ -30,6 +30,8 @@ def standing(run: RunRead) -> str:
         return "done: reused"
     if run.state is RunState.running and run.progress is not None:
         return f"running {run.progress.fraction:.0%} {run.progress.message}".rstrip()
+    if run.state is RunState.collecting and run.progress is not None and run.progress.message:
+        return f"collecting: {run.progress.message}"
     return str(run.state.value)
 
 

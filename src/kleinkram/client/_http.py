@@ -36,6 +36,8 @@ PATIENCE_S = 4.0
 _RESTART_S = 60.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _TOO_OFTEN = 429
+# Without a problem document they are the words of a proxy whose server is away.
+_OF_PROXIES = frozenset({502, 503, 504})
 _SAME_TIME = datetime.timedelta(seconds=5)
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 
@@ -249,8 +251,16 @@ class Api:
         try:
             problem = ProblemDocument.model_validate_json(answer.data)
         except ValidationError:
-            reason = f"status {answer.status}{_said(answer.data)}"
-            return remember_request(self._not_understood(what, reason), answer.headers.get("X-Request-Id", request_id))
+            reason, request_id = (
+                f"status {answer.status}{_said(answer.data)}",
+                answer.headers.get("X-Request-Id", request_id),
+            )
+            if answer.status in _OF_PROXIES:
+                unreachable = ServerUnreachable(
+                    url=self.endpoint.url, reason=f"what stands before it says {answer.status}"
+                )
+                return remember_request(unreachable, request_id)
+            return remember_request(self._not_understood(what, reason), request_id)
         error = from_problem(problem)
         if isinstance(error, NotAuthenticated):
             error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)
@@ -307,7 +317,7 @@ def reason_of(error: BaseException) -> str:
     return str(text)
 
 
-def store_unreachable(url: str, error: BaseException) -> StoreUnreachable:
-    """Return the error for a store that cannot be reached, naming it without the signature in its URL."""
+def store_unreachable(url: str, reason: str) -> StoreUnreachable:
+    """Return the error for a store that cannot be used, naming it without the signature in its URL."""
     parsed = urllib3.util.parse_url(url)
-    return StoreUnreachable(store=f"{parsed.scheme}://{parsed.netloc}", reason=reason_of(error))
+    return StoreUnreachable(store=f"{parsed.scheme}://{parsed.netloc}", reason=reason)

@@ -92,7 +92,7 @@ class AnswerNotUnderstood(ClientError):
 
 @dataclass(eq=False)
 class StoreUnreachable(ClientError):
-    """The object store at {store} does not answer ({reason}). The server hands out this address; `klein doctor` says whether it can be reached from here."""  # noqa: E501  one sentence
+    """The object store at {store} is away or full ({reason}). The server hands out this address; `klein doctor` says whether it can be reached from here."""  # noqa: E501  one sentence
 
     store: str
     reason: str

@@ -83,7 +83,7 @@ class HeldRun:
             run_id=self.claim.run_id,
             attempt=self.claim.attempt,
             state=self._state,
-            progress=self._progress.progress,
+            progress=(self._keeping and self._keeping.progress) or self._progress.progress,
             image_digest=self._attempt.state.image_digest,
             usage=self._usage,
             samples=self._samples[:_MOST_SAMPLES],

@@ -15,7 +15,7 @@ from kleinkram.contract.errors import (
     RunGone,
     StoreUnavailable,
 )
-from kleinkram.contract.reports import Report
+from kleinkram.contract.reports import Progress, Report
 from kleinkram.contract.runners import LOG_PATH, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward
@@ -32,10 +32,11 @@ _CLEAN_LOG = "log.clean"
 _JOURNALS = "journals"
 _MOST_CHARACTERS = 2000
 _MOST_PROBLEMS = 200
+_MOST_SAID = 200
 _ROUNDS = 5
 _AGAIN_S = 2.0
 # A store that is away over the weekend comes back, and the runner keeps what a run left meanwhile. So it does where the
-# server is away, but another runner may be the first to be given the run when that is back.
+# server is away; when that is back after more than a quarter of an hour, another runner may be given the run first.
 _AWAY_S = 7 * 86400.0
 _AWAY = (ServerUnreachable, StoreUnreachable, StoreUnavailable, DatabaseUnavailable)
 # A server in trouble comes back; for one that is away is waited as long as it takes.
@@ -54,6 +55,8 @@ class Keeping:
         self._orders = orders
         self._redactor = redactor
         self._leaving: Leaving | None = None
+        # What is said of it meanwhile: none unless what it sends to is away.
+        self.progress: Progress | None = None
 
     def end(self) -> None:
         """End the sending."""
@@ -152,9 +155,13 @@ class Keeping:
                 raise
             except KleinkramError as error:
                 refused = [Refused(file.path, str(error)) for file in files]
-                is_away = isinstance(error, _AWAY) and away.pause()
+                is_away = isinstance(error, _AWAY)
+                if is_away:
+                    self.progress = Progress(fraction=1, message=_short(f"what it left waits: {error}", _MOST_SAID))
+                    is_away = away.pause()
             rounds += not is_away
             if not refused or rounds == _ROUNDS:
+                self.progress = self.progress and Progress(fraction=1)
                 return refused
             _log.warning("what the run %s left is sent again: %s", claim.run_id, refused[0].why)
             left = {each.path for each in refused}
@@ -176,6 +183,6 @@ def _named(path: str) -> str:
     return "Its log" if path == LOG_PATH else path
 
 
-def _short(text: str) -> str:
+def _short(text: str, most: int = _MOST_CHARACTERS) -> str:
     """Return a text as it can be sent: names of files may hold what is no text."""
-    return text.encode(errors="backslashreplace").decode()[:_MOST_CHARACTERS]
+    return text.encode(errors="backslashreplace").decode().replace("\0", "")[:most]

@@ -161,6 +161,11 @@ def test_who_comes_back_is_told_what_happened_meanwhile(lab: Api) -> None:
         assert ears.last_id.partition("-")[0] == last.partition("-")[0]
 
 
+def test_a_place_that_is_none_of_ours_is_not_said_back(lab: Api) -> None:
+    for after in ("1\nevent: change\ndata: {}", "1\r", "é"):
+        lab.get("/events", {"after": after, "for_s": "0"}).refused(422, "invalid_request")
+
+
 def test_who_listens_too_slowly_is_told_to_fetch_all(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hubs, "MOST_WAITING", 3)
     mission = lab.mission(lab.project()["id"])

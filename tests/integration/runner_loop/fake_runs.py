@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import LEASE_S, Claim, ClaimInput, RunFinish
 from kleinkram.contract.runs import ActionRef, RunState
 
@@ -26,7 +27,7 @@ class FakeRun:
     artifacts: dict[str, bytes] = field(default_factory=dict)
     segments: list[tuple[int, bytes]] = field(default_factory=list)
     states: list[RunState] = field(default_factory=list)
-    progress: list[float] = field(default_factory=list)
+    progress: list[Progress] = field(default_factory=list)
     digest: str | None = None
 
     @property

@@ -217,7 +217,7 @@ class FakeServer:
                     run.states.append(beat.state)
                 run.digest = beat.image_digest or run.digest
                 if beat.progress:
-                    run.progress.append(beat.progress.fraction)
+                    run.progress.append(beat.progress)
                 verdict = Verdict.cancel if run.is_cancelled else verdict
             answers.append(BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=verdict))
         return BeatAnswers(runs=answers, lease_s=self.lease_s)

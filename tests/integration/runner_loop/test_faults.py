@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client import _retry
-from kleinkram.client.transfer import _uploader
+from kleinkram.client.transfer import _pipeline, _uploader
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import keeping
@@ -106,6 +106,24 @@ def test_results_are_kept_until_the_store_is_back(
     wait_until(lambda: server.requests["/uploads/complete"] > 2 * keeping._ROUNDS)
     assert run.finishes == []
     server.has_no_store.clear()
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
+
+
+def test_results_are_kept_while_a_proxy_says_that_the_store_is_away(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
+    monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
+    server.store_refuses.set()
+    runners.start()
+    run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
+    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * keeping._ROUNDS)
+    wait_until(lambda: run.progress and "away or full (the store answered 503)" in run.progress[-1].message)
+    assert run.finishes == []
+    server.store_refuses.clear()
     assert ended(run).finishes[0].reason is EndReason.done
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
 

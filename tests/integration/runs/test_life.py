@@ -88,6 +88,17 @@ def test_a_run_that_loses_runner_after_runner_fails_with_the_reason(lab: Api, ru
     assert "3 times" in seen["message"]
 
 
+def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    lasting = []
+    for state in ("running", "collecting"):
+        assert runner.beat(claim, state) == "go_on"
+        (lasts,) = lab.sql("SELECT lease_ends_at - now() FROM run WHERE id = %s", uuid.UUID(claim["run_id"]))
+        lasting.append(lasts[0].total_seconds())
+    assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900
+
+
 def _let_lapse(lab: Api, run_id: str) -> None:
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
 

@@ -26,6 +26,8 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.queued, {"waits_for": "No runner is there."}, "queued: No runner is there."),
         (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
         (RunState.running, {}, "running"),
+        (RunState.collecting, {"progress": Progress(fraction=1, message="it waits")}, "collecting: it waits"),
+        (RunState.collecting, {"progress": Progress(fraction=1)}, "collecting"),
         (RunState.failed, {"reason": EndReason.exit_code, "exit_code": 3}, "failed: exit_code 3"),
         (RunState.failed, {"reason": EndReason.memory}, "failed: memory"),
         (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),

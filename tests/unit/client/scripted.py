@@ -13,6 +13,9 @@ from pydantic import BaseModel
 from kleinkram.contract.errors import KleinkramError, to_problem
 from tests.serving import Server
 
+# With a status of its own, it is what something else says that stands before the server.
+Answer = BaseModel | KleinkramError | bytes | tuple[int, bytes] | None
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -29,14 +32,12 @@ class Scripted:
     """The server: its address, what it has yet to say, what it was asked."""
 
     url: str = ""
-    answers: list[BaseModel | KleinkramError | bytes | None] = field(default_factory=list)
+    answers: list[Answer] = field(default_factory=list)
     asked: list[Asked] = field(default_factory=list)
 
 
 @contextmanager
-def scripted(
-    *answers: BaseModel | KleinkramError | bytes | None, by_path: Mapping[str, BaseModel] | None = None
-) -> Iterator[Scripted]:
+def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -> Iterator[Scripted]:
     """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks.
 
     What ends as `by_path` says is answered so, whenever it is asked for.
@@ -78,9 +79,11 @@ def scripted(
         server.server_close()
 
 
-def _said(answer: BaseModel | KleinkramError | bytes | None) -> tuple[int, bytes | None]:
+def _said(answer: Answer) -> tuple[int, bytes | None]:
     if isinstance(answer, KleinkramError):
         return answer.status, to_problem(answer, "r").model_dump_json().encode()
     if isinstance(answer, BaseModel):
         return 200, answer.model_dump_json().encode()
+    if isinstance(answer, tuple):
+        return answer
     return 200 if answer else 204, answer

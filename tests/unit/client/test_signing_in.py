@@ -157,6 +157,11 @@ def test_nobody_is_sent_to_what_is_no_server() -> None:
         see_server(printer.url)
     with pytest.raises(ServerUnreachable):
         begin_device(printer.url, "klein")
+    with (
+        scripted(ME, (502, b"<html>Bad Gateway</html>")) as proxy,
+        pytest.raises(ServerUnreachable, match=r"what stands before it says 502"),
+    ):
+        end_token(proxy.url, "mine")
 
 
 def test_a_token_is_not_in_what_is_printed() -> None:

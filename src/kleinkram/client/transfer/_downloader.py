@@ -222,8 +222,8 @@ class Downloader:
         return offset
 
     def _gave_up(self, fetching: Fetching, answer: GetAnswer) -> KleinkramError:
-        if answer.error is not None:
-            return store_unreachable(fetching.link.url, answer.error)
+        if answer.is_away:
+            return store_unreachable(fetching.link.url, answer.why)
         return TransferFailed(path=fetching.link.path, reason=answer.why)
 
     # -- ends ---------------------------------------------------------------------------------------------------------

@@ -211,7 +211,7 @@ class Pipeline:
                 was_cut = True
                 self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
-                    raise self._gave_up(signed.url, part, answer)
+                    raise store_unreachable(signed.url, answer.why)
             else:
                 part.sending.source.check_unchanged()
                 refusals += 1
@@ -243,11 +243,6 @@ class Pipeline:
             yield piece
             moved[0] += piece.length
             self._watcher.moved(part.sending.file.path, piece.length, part.sending.file.size_bytes)
-
-    def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
-        if answer.error is not None:
-            return store_unreachable(url, answer.error)
-        return TransferFailed(path=part.sending.file.path, reason=answer.reason)
 
     # -- finishing ----------------------------------------------------------------------------------------------------
 

@@ -110,7 +110,7 @@ class StoreDoor:
         code = _code(answer.read(2000))
         answer.close()
         reason = _reason(answer.status, code)
-        return GetAnswer(meaning(answer.status, code), None, slice_bytes, reason=reason)
+        return GetAnswer(meaning(answer.status, code), None, slice_bytes, reason=reason, is_of_proxy=not code)
 
 
 class GetAnswer:
@@ -124,10 +124,12 @@ class GetAnswer:
         *,
         reason: str = "",
         error: BaseException | None = None,
+        is_of_proxy: bool = False,
     ) -> None:
         self.answer = answer
         self.reason = reason
         self.error = error
+        self._is_of_proxy = is_of_proxy
         self._response = response
         self._slice_bytes = slice_bytes
 
@@ -135,6 +137,11 @@ class GetAnswer:
     def why(self) -> str:
         """Why it gave nothing, or not all, in words."""
         return reason_of(self.error) if self.error else self.reason or "it sends nothing"
+
+    @property
+    def is_away(self) -> bool:
+        """Whether the store itself said nothing at all: what it does say is of this object, and others may be had."""
+        return self.error is not None or (self.answer is Answer.try_again and self._is_of_proxy)
 
     def slices(self) -> Iterator[bytes]:
         """Yield the bytes.

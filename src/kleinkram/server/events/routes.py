@@ -13,7 +13,7 @@ from kleinkram.server.http import mark_as_stream
 router = APIRouter(prefix="/api/v1/events", tags=["events"])
 _EVENT_STREAM = "text/event-stream"
 _LONGEST_S = 3600.0
-EventId = Annotated[str, Field(max_length=64)]
+EventId = Annotated[str, Field(max_length=64, pattern=r"^[ -~]*$")]
 
 
 class EventsQuery(BaseModel):

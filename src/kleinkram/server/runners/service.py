@@ -54,6 +54,8 @@ _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Between two looks where nothing was heard of: a lease that runs out tells nobody.
 _LOOK_EVERY_S = 5.0
 _LEASE = datetime.timedelta(seconds=LEASE_S)
+# What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
+_LEASE_TO_KEEP = datetime.timedelta(minutes=15)
 # A token ends with its run; should nobody say so, then not long after the run could have lasted.
 _TOKEN_SPARE_S = 3600
 
@@ -213,7 +215,8 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
     if row is None:
         return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.gone)
     values = _said(row, beat)
-    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + _LEASE, **values))
+    lease = _LEASE_TO_KEEP if beat.state is RunState.collecting else _LEASE
+    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
     if beat.image_digest is not None and row.image is not None:
         # What the name meant first is what it means from now on.
         unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
