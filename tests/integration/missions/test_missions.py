@@ -114,6 +114,16 @@ def test_does_not_move_onto_a_name_or_into_nothing(api: Api) -> None:
     assert len(api.events(made["id"])) == 1
 
 
+def test_what_was_added_up_holds_until_files_change_whoever_changes_them(api: Api) -> None:
+    mission = api.mission(api.project()["id"])
+    seen = []
+    for change in ("file_count = 9", "notes = 'rain'", "files_revision = files_revision + 1"):
+        api.sql(f"UPDATE mission SET {change} WHERE id = %s", mission["id"])
+        place = f"/missions/{mission['id']}", f"/projects/{mission['project']['id']}"
+        seen.append({api.get(each).ok()["file_count"] for each in place})
+    assert seen == [{9}, {9}, {0}]
+
+
 def test_counts_files_bytes_and_messages(api: Api, sample: Sample) -> None:
     made = api.mission(api.project()["id"])
     sample.file(made["id"], "a.mcap", size_bytes=10, message_count=5)

@@ -1,7 +1,8 @@
 """What is in a mission: kept with its recordings when these are derived, and added up from its files while they change.
 
-What is kept holds as long as the mission's files are those that it was derived from: so these numbers are always those
-of this moment, and a list of a thousand missions reads no file. Functions touch no connection.
+What is kept holds as long as the mission's files are those that it was derived from: a trigger takes the number of
+files away when these change. So numbers are always those of this moment, a list of a thousand missions reads no file,
+and the files of a hundred thousand are counted in an index. Functions touch no connection.
 """
 
 import uuid
@@ -35,6 +36,11 @@ _PENDING = blob.c.summarised_at.is_(None) | (
     (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
 )
 
+# What a mission without files amounts to.
+NOTHING = {"file_count": 0, "size_bytes": 0, "message_count": 0, "unread_count": 0, "duration_ns": 0}
+# The other numbers are as old as that one.
+_IS_KNOWN = mission.c.file_count.is_not(None)
+
 
 def amounts(actor: Actor) -> ColumnElement[Any]:
     """Return number, bytes and messages of each `mission`'s files, and how many wait to be read, as one array."""
@@ -50,7 +56,7 @@ def _added_amounts(shown: ColumnElement[bool]) -> ColumnElement[Any]:
 def _kept_amounts() -> ColumnElement[Any]:
     kept = _whole_numbers(mission.c.file_count, mission.c.size_bytes, mission.c.message_count, mission.c.unread_count)
     # Whether a file still waits may end without its mission being derived anew; where none does, none begins to.
-    return case((and_(_is_current(), mission.c.unread_count == 0), kept), else_=_added_amounts(true()))
+    return case((and_(_IS_KNOWN, mission.c.unread_count == 0), kept), else_=_added_amounts(true()))
 
 
 def file_amounts(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
@@ -60,8 +66,8 @@ def file_amounts(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
     if not sees_whole_missions(actor):
         return count, size_bytes
     return (
-        case((_is_current(), mission.c.file_count), else_=count),
-        case((_is_current(), mission.c.size_bytes), else_=size_bytes),
+        case((_IS_KNOWN, mission.c.file_count), else_=count),
+        case((_IS_KNOWN, mission.c.size_bytes), else_=size_bytes),
     )
 
 
@@ -89,10 +95,6 @@ def keep(mission_id: uuid.UUID, **values: object) -> Update:
 
 
 _KEPT = ("file_count", "size_bytes", "message_count", "unread_count")
-
-
-def _is_current() -> ColumnElement[bool]:
-    return and_(mission.c.file_count.is_not(None), mission.c.derived_revision == mission.c.files_revision)
 
 
 def _live(shown: ColumnElement[bool], what: ColumnElement[Any]) -> ColumnElement[Any]:

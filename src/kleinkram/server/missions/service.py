@@ -35,6 +35,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import queries
+from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import prefilled, write_template
 from kleinkram.server.pages import PageRequest, cut, fetch_listed
@@ -180,6 +181,7 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         metadata_yaml=wanted.metadata_yaml,
         notes=wanted.notes,
         created_by_id=actor.person_id,
+        **NOTHING,
     )
     try:
         await db.execute(statement)

@@ -37,7 +37,8 @@ mission = Table(
     # How often the set of files or what is known of them changed, and the count up to which recordings were derived.
     Column("files_revision", BigInteger, nullable=False, server_default="0"),
     Column("derived_revision", BigInteger, nullable=False, server_default="0"),
-    # What its files and recordings amount to, as of `derived_revision`; null where that was never added up.
+    # What its files and recordings amount to, as of `derived_revision`; where files changed since, a trigger has made
+    # their number null.
     Column("file_count", Integer),
     Column("size_bytes", Numeric),
     Column("message_count", Numeric),
@@ -60,6 +61,13 @@ mission = Table(
         unique=True,
         postgresql_where=text("deleted_at IS NULL"),
         postgresql_include=["id"],
+    ),
+    # For sums over all missions that somebody sees, of which the rows themselves need not be read.
+    Index(
+        "ix_mission_amounts",
+        "project_id",
+        postgresql_where=text("deleted_at IS NULL"),
+        postgresql_include=["id", "file_count", "size_bytes"],
     ),
     Index("ix_mission_name", "name", "id"),
     Index("ix_mission_created_at", "created_at", "id"),
