@@ -72,6 +72,12 @@ blob = Table(
     Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
     # Whose proof is the oldest.
     Index("ix_blob_proven_at", "proven_at", postgresql_where=text("state = 'proven' AND doomed_at IS NULL")),
+    # What home lists of all files that somebody sees.
+    Index(
+        "ix_blob_ailing",
+        "id",
+        postgresql_where=text("state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error')"),
+    ),
     # How long the longest lasts bounds where one begins that was under way at some time.
     Index("ix_blob_duration", text("(end_ns::numeric - start_ns::numeric)")),
     Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),

@@ -67,7 +67,7 @@ mission = Table(
         "ix_mission_amounts",
         "project_id",
         postgresql_where=text("deleted_at IS NULL"),
-        postgresql_include=["id", "file_count", "size_bytes"],
+        postgresql_include=["id", "file_count", "size_bytes", "duration_ns"],
     ),
     Index("ix_mission_name", "name", "id"),
     Index("ix_mission_created_at", "created_at", "id"),
