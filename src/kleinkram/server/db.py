@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import psycopg
+from psycopg.types.array import ListBinaryDumper
 from pydantic_core import from_json
 from sqlalchemy import ARRAY, ColumnElement, Row, any_, bindparam, event, literal, make_url
 from sqlalchemy.exc import DBAPIError, DisconnectionError
@@ -108,8 +109,17 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         hide_parameters=True,  # in the text of errors, which is logged
         json_deserializer=from_json,  # five times as fast as Python's own: a page of missions has hundreds
     )
+    event.listen(engine.sync_engine, "connect", _write_arrays_as_they_are)
     event.listen(engine.sync_engine, "checkout", _see_that_it_is_quiet)
     return Database(engine, connections=settings.database_connections)
+
+
+def _write_arrays_as_they_are(connection: Any, *_: object) -> None:
+    """Send arrays in PostgreSQL's own form: as text, each element is written out, escaped and read again.
+
+    A fifth of the time for ids and a hundredth for checksums, of which an upload of many files sends some for each.
+    """
+    connection.driver_connection.adapters.register_dumper(list, ListBinaryDumper)
 
 
 def _see_that_it_is_quiet(connection: Any, *_: object) -> None:

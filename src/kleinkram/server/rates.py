@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Row, delete, func
+from sqlalchemy import Row, delete, func, text
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import RateLimited
@@ -30,6 +30,15 @@ _PER_ADDRESS = 10
 _WINDOW = datetime.timedelta(seconds=WINDOW_S)
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 _IPV6_SUBNET = 64
+# In the order of their keys, so that two who count the same never wait for each other. As text, since SQLAlchemy puts
+# what updates on a conflict together anew each time.
+_COUNT = text("""
+INSERT INTO rate_count (key, window_start, count)
+  SELECT key, date_bin(CAST(:window AS interval), now(), CAST(:epoch AS timestamptz)), 1
+    FROM unnest(CAST(:keys AS text[])) AS key ORDER BY key COLLATE "C"
+  ON CONFLICT (key, window_start) DO UPDATE SET count = rate_count.count + 1
+  RETURNING key, count AS asked, ceil(extract(epoch FROM window_start + CAST(:window AS interval) - now())) AS left_s
+""")
 _EXPENSIVE = {
     "search": "searches",
     "get_facets": "searches",
@@ -106,17 +115,8 @@ async def turn_of(database: Database, count: Count) -> float:
 async def _counted(database: Database, held: Mapping[str, Count]) -> Sequence[Row[Any]]:
     if not held:
         return []
-    window = func.date_bin(_WINDOW, func.now(), _EPOCH)
-    # In the order of their keys, so that two who count the same never wait for each other.
-    rows = [{"key": key, "window_start": window, "count": 1} for key in sorted(held)]
-    statement = upsert(rate_count).values(rows)
-    statement = statement.on_conflict_do_update(
-        index_elements=["key", "window_start"], set_={"count": rate_count.c.count + 1}
-    )
-    left_s = func.ceil(func.extract("epoch", rate_count.c.window_start + _WINDOW - func.now()))
     async with database.begin() as db:
-        counted = rate_count.c.count.label("asked")
-        return (await db.execute(statement.returning(rate_count.c.key, counted, left_s.label("left_s")))).all()
+        return (await db.execute(_COUNT, {"keys": [*held], "window": _WINDOW, "epoch": _EPOCH})).all()
 
 
 def counts_of(actor: Actor, what: str, most: int) -> list[Count]:

@@ -6,8 +6,20 @@ Sent one by one, even in one round trip, each row is a statement that PostgreSQL
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import ARRAY, ColumnClause, Table, TableValuedAlias, column, func, literal, select
-from sqlalchemy.dialects.postgresql import Insert, insert
+from sqlalchemy import (
+    ARRAY,
+    ColumnClause,
+    Insert,
+    Select,
+    Table,
+    TableValuedAlias,
+    column,
+    func,
+    insert,
+    literal,
+    select,
+)
+from sqlalchemy.dialects import postgresql
 
 
 def given(columns: Sequence[ColumnClause[Any]], rows: Sequence[Mapping[str, Any]]) -> TableValuedAlias:
@@ -22,5 +34,13 @@ def insert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Insert:
 
     What they do not tell, the database makes up; what Python would make up is not asked for.
     """
-    values = given([table.c[key] for key in rows[0]], rows)
-    return insert(table).from_select([*rows[0]], select(values), include_defaults=False)
+    return insert(table).from_select([*rows[0]], _rows(table, rows), include_defaults=False)
+
+
+def upsert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> postgresql.Insert:
+    """Return the same where it matters what is there already; SQLAlchemy puts this one together anew each time."""
+    return postgresql.insert(table).from_select([*rows[0]], _rows(table, rows), include_defaults=False)
+
+
+def _rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Select[Any]:
+    return select(given([table.c[key] for key in rows[0]], rows))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row, select
-from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
@@ -14,6 +13,7 @@ from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
+from kleinkram.server.sets import upsert_rows
 from kleinkram.server.tables import blob, file
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.rules import UNREADABLE, Decision, Way
@@ -38,7 +38,7 @@ async def link_twins(
         }
         for decision in linked
     ]
-    statement = upsert(file).values(rows)
+    statement = upsert_rows(file, rows)
     statement = statement.on_conflict_do_update(
         index_elements=["mission_id", "path_key"],
         index_where=file.c.deleted_at.is_(None),

@@ -48,7 +48,7 @@ from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
-from kleinkram.server.sets import insert_rows
+from kleinkram.server.sets import upsert_rows
 from kleinkram.server.site import Site
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
@@ -153,7 +153,7 @@ async def _hold_names(
     asked_for = [decision.wanted.upload_id for decision in begun if decision.wanted.upload_id]
     used = await queries.used_ids(db, asked_for) if asked_for else frozenset()
     rows = [new_upload(site, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
-    statement = insert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
+    statement = upsert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement)}
     await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
