@@ -43,19 +43,28 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
 def scale_rows(
     size: int, url: str, owner_token: str, environment: Mapping[str, str], *, owner_url: str
 ) -> Iterator[Row]:
-    """Fill the instance to a size, and measure it; `owner_url` is the database by the role that owns the tables."""
+    """Fill the instance to a size, and measure lists; `owner_url` is the database by the role that owns the tables."""
     database_url = environment["KLEINKRAM_DATABASE_URL"]
     began = time.perf_counter()
     seed.fill(database_url, seed.Size(size), owner_url=owner_url, say=lambda text: print(text, file=sys.stderr))
-    label = f"{200_000 * size:_} files".replace("_", " ")
+    label = _label(size)
     asked = places(150 if size > 1 else 50)
     statements = statements_of(environment, owner_token, asked)
     tokens = {"admin": owner_token, "reader": seed.ALL}
     yield _filled_row(label, time.perf_counter() - began)
     yield from list_rows(label, url, tokens, statements, database_url, asked)
+
+
+def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
+    """Measure the filled instance while many ask, write and delete, which leaves much behind."""
+    label = _label(size)
     yield _crowd_row(label, _crowd([url], owner_token))
     yield _two_row(label, environment, owner_token)
     yield _sweep_row(label, url, owner_token, environment)
+
+
+def _label(size: int) -> str:
+    return f"{200_000 * size:_} files".replace("_", " ")
 
 
 def _filled_row(label: str, seconds: float) -> Row:

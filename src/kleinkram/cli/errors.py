@@ -94,6 +94,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     local.StoreUnreachable: ExitCode.unreachable,
     local.AnswerNotUnderstood: ExitCode.server_failed,
     local.TransferFailed: ExitCode.unreachable,
+    local.StoreTroubled: ExitCode.unreachable,
     local.FileChanged: ExitCode.local_file,
     local.StillRecording: ExitCode.local_file,
     local.NotAFile: ExitCode.local_file,

@@ -121,7 +121,7 @@ def show_findings(findings: Iterable[Finding]) -> None:
 
 
 def _short(run: RunRead) -> str:
-    return str(run.state.value) if run.state is RunState.queued else standing(run)
+    return str(run.state.value) if run.state in {RunState.queued, RunState.collecting} else standing(run)
 
 
 def _counts(run: RunRead) -> tuple[int | None, int | None, int | None]:

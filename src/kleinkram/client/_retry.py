@@ -27,6 +27,10 @@ class Backoff:
         """Return for how long it has been tried."""
         return time.monotonic() - self._began_at
 
+    def excuse(self, waited_s: float) -> None:
+        """Leave out of account how long something else was waited for."""
+        self._ends_at += waited_s
+
     def obey(self, wait_s: float) -> bool:
         """Wait as long as the server says, which costs no patience; return False, without waiting, for too long."""
         if not 0 < wait_s <= self._told_left_s:

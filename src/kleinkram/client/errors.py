@@ -107,6 +107,11 @@ class TransferFailed(ClientError):
 
 
 @dataclass(eq=False)
+class StoreTroubled(TransferFailed):
+    """{path!r} could not be transferred: for minutes, {reason}. Run the same command again when the store is well; what has arrived stays."""  # noqa: E501  one sentence
+
+
+@dataclass(eq=False)
 class FileChanged(ClientError):
     """{path!r} changed while it was read ({reason}), so it was not uploaded. Wait until nothing writes to it, then run the same command again."""  # noqa: E501  one sentence
 

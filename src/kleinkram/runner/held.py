@@ -83,7 +83,7 @@ class HeldRun:
             run_id=self.claim.run_id,
             attempt=self.claim.attempt,
             state=self._state,
-            progress=(self._keeping and self._keeping.progress) or self._progress.progress,
+            progress=self._keeping.progress if self._keeping else self._progress.progress,
             image_digest=self._attempt.state.image_digest,
             usage=self._usage,
             samples=self._samples[:_MOST_SAMPLES],
@@ -250,7 +250,7 @@ class HeldRun:
         self._log.is_whole()
         noted = self._attempt.state.ending
         ending = noted.ending() if noted else Ending(EndReason.lost, "Nobody wrote down how it ended.")
-        self._keeping = Keeping(self._ground, self._attempt, self.orders, self._redactor)
+        self._keeping = self._to_keep()
         try:
             self._finish(self._keeping, self._keeping.keep(ending))
         except Told as told:
@@ -259,6 +259,9 @@ class HeldRun:
             self.orders.obeyed()
             self._finish(self._keeping, self._keeping.nothing(_cancelled(ending.exit_code)))
 
+    def _to_keep(self) -> Keeping:
+        return Keeping(self._ground, self._attempt, self.orders, self._redactor, self._progress.progress)
+
     def _end_without_room(self) -> None:
         """Tell that it is over: given up, it would be started again, to meet the same."""
         if self.orders.order is Order.cancel:
@@ -266,7 +269,7 @@ class HeldRun:
         self.orders.check()
         self._ground.executor.remove(work_of(self._ground, self._attempt))
         self._now(RunState.collecting)
-        self._keeping = Keeping(self._ground, self._attempt, self.orders, self._redactor)
+        self._keeping = self._to_keep()
         self._finish(self._keeping, self._keeping.no_room())
 
     def _finish(self, keeping: Keeping, said: RunFinish) -> None:

@@ -48,15 +48,17 @@ _log = logging.getLogger("kleinkram.runner")
 class Keeping:
     """Keeps what one run left. `end`, from another thread, has `keep` return soon; it may be done again."""
 
-    def __init__(self, ground: Ground, attempt: Attempt, orders: Orders, redactor: Redactor) -> None:
+    def __init__(
+        self, ground: Ground, attempt: Attempt, orders: Orders, redactor: Redactor, progress: Progress | None
+    ) -> None:
         self._ground = ground
         self._claim = attempt.state.claim
         self._folder = attempt.folder
         self._orders = orders
         self._redactor = redactor
         self._leaving: Leaving | None = None
-        # What is said of it meanwhile: none unless what it sends to is away.
-        self.progress: Progress | None = None
+        # What is said of the run meanwhile: how far it came, and what its results wait for.
+        self.progress = progress and Progress(fraction=progress.fraction)
 
     def end(self) -> None:
         """End the sending."""
@@ -147,26 +149,32 @@ class Keeping:
         away = Backoff(_AWAY_S, self._orders.wait)
         while True:
             self._orders.check()
-            self._leaving, is_away = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS), False
+            self._leaving = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS, moves=self._moves)
             try:
                 refused = self._leaving.send(files)
                 self._orders.check()
             except RunGone:
                 raise
             except KleinkramError as error:
-                refused = [Refused(file.path, str(error)) for file in files]
-                is_away = isinstance(error, _AWAY)
-                if is_away:
-                    self.progress = Progress(fraction=1, message=_short(f"what it left waits: {error}", _MOST_SAID))
-                    is_away = away.pause()
-            rounds += not is_away
+                refused = [Refused(file.path, str(error), may_pass=isinstance(error, _AWAY)) for file in files]
+            is_away = bool(refused) and all(each.may_pass for each in refused)
+            if is_away:
+                self._waits_for(refused[0].why)
+            rounds += not (is_away and away.pause())
             if not refused or rounds == _ROUNDS:
-                self.progress = self.progress and Progress(fraction=1)
                 return refused
             _log.warning("what the run %s left is sent again: %s", claim.run_id, refused[0].why)
             left = {each.path for each in refused}
             files = [file for file in files if file.path in left]
             self._orders.wait(_AGAIN_S)
+
+    def _waits_for(self, why: str) -> None:
+        message = _short(f"what it left waits: {why.partition('. ')[0]}", _MOST_SAID)
+        self.progress = Progress(fraction=self.progress.fraction if self.progress else 1, message=message)
+
+    def _moves(self) -> None:
+        if self.progress is not None and self.progress.message:
+            self.progress = Progress(fraction=self.progress.fraction)
 
     def _said(self, ending: Ending, report: Report, problems: Sequence[str]) -> RunFinish:
         return RunFinish(

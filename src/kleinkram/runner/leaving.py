@@ -1,10 +1,11 @@
 """Sending what a run left, and its log, to the store: by the protocol that all uploads follow."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kleinkram.client.errors import StoreTroubled
 from kleinkram.client.runners import ArtifactUploads
 from kleinkram.client.transfer._uploader import Uploader
 from kleinkram.client.transfer.outcome import TransferResult
@@ -23,12 +24,31 @@ class Refused:
 
     path: str
     why: str
+    # It was no refusal: the store is in trouble.
+    may_pass: bool = False
+
+
+class _Moves(Unwatched):
+    """A watcher that only says that something moves."""
+
+    def __init__(self, moves: Callable[[], None]) -> None:
+        self._moves = moves
+
+    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Say so."""
+        if size_bytes > 0:
+            self._moves()
 
 
 class Leaving:
-    """One run's files on their way. `end`, from another thread, has `send` return soon."""
+    """One run's files on their way. `end`, from another thread, has `send` return soon.
 
-    def __init__(self, uploads: ArtifactUploads, server: str, claim: Claim, journals: Path) -> None:
+    `moves` is called, from other threads, whenever some bytes went.
+    """
+
+    def __init__(
+        self, uploads: ArtifactUploads, server: str, claim: Claim, journals: Path, *, moves: Callable[[], None]
+    ) -> None:
         self._claim = claim
         self._results: list[TransferResult] = []
         self._lock = threading.Lock()
@@ -37,7 +57,7 @@ class Leaving:
             server,
             claim.run_id,
             pace=Pace(None),
-            watcher=Unwatched(),
+            watcher=_Moves(moves),
             ended=self._ended,
             journals=journals,
         )
@@ -50,7 +70,11 @@ class Leaving:
             ServerUnreachable, StoreUnreachable: one of them stayed away.
         """
         self._uploader.run(files, min(_CONNECTIONS, len(files)))
-        return [Refused(result.path, str(result.error)) for result in self._results if result.error is not None]
+        return [
+            Refused(result.path, str(result.error), may_pass=isinstance(result.error, StoreTroubled))
+            for result in self._results
+            if result.error is not None
+        ]
 
     def end(self) -> None:
         """End it."""

@@ -38,7 +38,7 @@ class Handler(BaseHTTPRequestHandler):
         body = self.rfile.read(int(self.headers["Content-Length"]))
         path, _, query = self.path.partition("?")
         is_taken = self.fake.write(path.removeprefix("/store/"), body, query.removeprefix("sha256="))
-        self._say(200 if is_taken else 503, b"", {"ETag": '"e"'})
+        self._say(200 if is_taken else 503, b"" if is_taken else self.fake.store_says, {"ETag": '"e"'})
 
     def _do(self, method: str) -> None:
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))

@@ -61,6 +61,7 @@ class FakeServer:
         self.refuses_reports = False
         self.holds_uploads = threading.Event()
         self.store_refuses = threading.Event()
+        self.store_says = b""
         self.has_no_store = threading.Event()
         self._objects: dict[str, bytes] = {}
         self._changed = threading.Condition()

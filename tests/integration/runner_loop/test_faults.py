@@ -110,10 +110,18 @@ def test_results_are_kept_until_the_store_is_back(
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
 
 
-def test_results_are_kept_while_a_proxy_says_that_the_store_is_away(
-    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("store_says", "waits_for"),
+    [
+        (b"", "is away or full (the store answered 503)"),  # as a proxy does in its place
+        (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
+    ],
+)
+def test_results_are_kept_while_the_store_is_in_trouble(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, store_says: bytes, waits_for: str
 ) -> None:
     """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
+    server.store_says = store_says
     monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
     monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
     monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
@@ -121,7 +129,7 @@ def test_results_are_kept_while_a_proxy_says_that_the_store_is_away(
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
     wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * keeping._ROUNDS)
-    wait_until(lambda: run.progress and "away or full (the store answered 503)" in run.progress[-1].message)
+    wait_until(lambda: run.progress and waits_for in run.progress[-1].message)
     assert run.finishes == []
     server.store_refuses.clear()
     assert ended(run).finishes[0].reason is EndReason.done

@@ -99,6 +99,19 @@ def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played
     assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900
 
 
+def test_what_a_silent_runner_holds_for_long_can_be_cancelled(lab: Api, runner: Played, place: Place) -> None:
+    made = launch(lab, runner, place.mission)
+    runner.beat(runner.claim(), "collecting")
+    assert lab.post(f"/runs/{made['id']}/cancel").ok()["state"] == "collecting"
+    other = Played(runner.api, labels=runner.labels)
+    other.hello()
+    assert other.claim() is None
+    assert lab.get(f"/runs/{made['id']}").ok()["state"] == "collecting", "its runner was heard a moment ago"
+    lab.sql("UPDATE runner SET last_seen_at = now() - interval '61 seconds' WHERE id = %s", uuid.UUID(runner.id))
+    assert other.claim() is None
+    assert lab.get(f"/runs/{made['id']}").ok()["state"] == "cancelled"
+
+
 def _let_lapse(lab: Api, run_id: str) -> None:
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
 

@@ -65,6 +65,7 @@ def test_reasons_are_short_and_hold_no_address() -> None:
         (408, "", Answer.try_again),
         (429, "", Answer.try_again),
         (500, "InternalError", Answer.try_again),
+        (501, "NotImplemented", Answer.refused),
         (503, "SlowDown", Answer.try_again),
     ],
 )

@@ -13,12 +13,12 @@ import urllib3
 
 from kleinkram.client._http import store_unreachable
 from kleinkram.client._retry import Backoff
-from kleinkram.client.errors import DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed
+from kleinkram.client.errors import DestinationDiffers, DestinationRefused, StoreTroubled, TransferFailed, VerifyFailed
 from kleinkram.client.transfer._fetching import Fetching
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._place import make_folders, regular_size
 from kleinkram.client.transfer._source import SLICE_BYTES
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, GetAnswer, StoreDoor, Trouble
+from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, GetAnswer, StoreDoor, Trouble
 from kleinkram.client.transfer.destination import Target
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
@@ -71,6 +71,7 @@ class Downloader:
         self._pieces: Channel[_Piece] = Channel(self._stop)
         self._targets: dict[uuid.UUID, Target] = {}
         self._open: dict[uuid.UUID, Fetching] = {}
+        self._troubled = 0
 
     def run(self, targets: Sequence[Target], connections: int) -> None:
         """Download the files; returns when each has ended.
@@ -194,6 +195,7 @@ class Downloader:
             reached = self._receive(piece, offset, answer)
             if reached > offset:
                 offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
+                self._troubled = 0
             elif answer.answer in {Answer.taken, Answer.try_again}:
                 self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
@@ -222,9 +224,10 @@ class Downloader:
         return offset
 
     def _gave_up(self, fetching: Fetching, answer: GetAnswer) -> KleinkramError:
-        if answer.is_away:
+        self._troubled += 1
+        if answer.is_of_all or self._troubled > MOST_TROUBLED:
             return store_unreachable(fetching.link.url, answer.why)
-        return TransferFailed(path=fetching.link.path, reason=answer.why)
+        return StoreTroubled(path=fetching.link.path, reason=answer.why)
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 from kleinkram.client._http import store_unreachable
 from kleinkram.client._retry import Backoff
-from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
+from kleinkram.client.errors import FileChanged, FileUnreadable, StoreTroubled, TransferFailed
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._sending import Part, Sending
 from kleinkram.client.transfer._source import FileSlice
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, PutAnswer, StoreDoor, Trouble
+from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, PutAnswer, StoreDoor, Trouble
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -64,6 +64,7 @@ class Pipeline:
         self._to_send: Channel[tuple[Part, SignedPart]] = Channel(stop)
         self._to_finish: Channel[Sending] = Channel(stop)
         self._open: dict[uuid.UUID, Sending] = {}
+        self._troubled = 0
         self._leases: dict[uuid.UUID, Sending] = {}
         self._again = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -195,23 +196,24 @@ class Pipeline:
                 self._part_over(part)
 
     def _send(self, part: Part, signed: SignedPart) -> None:
-        backoff = Backoff(PATIENCE_S, self._stop.wait)
-        refusals, was_cut = 0, False
+        backoff: Backoff | None = None  # a part may be on its way for long, and be cut off then
+        refusals = 0
         while True:
             if signed.expires_at <= self._uploads.now():  # spares sending it in vain
                 signed = self._uploads.sign([part.to_sign()]).items[0]
-            with self._alone() if was_cut else contextlib.nullcontext():
+            with self._alone(backoff) if backoff else contextlib.nullcontext():
                 answer = self._put(part, signed)
             if answer.answer is Answer.taken:
                 part.sending.record(part, answer.etag)
+                self._troubled = 0
                 return
             if answer.answer is Answer.gone:
                 raise UploadGone(upload_id=str(part.sending.upload.id))
             if answer.answer is Answer.try_again:
-                was_cut = True
+                backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
                 self._trouble.note(backoff, answer.why)
                 if not backoff.pause():
-                    raise store_unreachable(signed.url, answer.why)
+                    raise self._gave_up(signed.url, part, answer)
             else:
                 part.sending.source.check_unchanged()
                 refusals += 1
@@ -220,10 +222,12 @@ class Pipeline:
             signed = self._uploads.sign([part.to_sign()]).items[0]
 
     @contextlib.contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _alone(self, backoff: Backoff) -> Iterator[None]:
         """Let one part at a time be sent again: of a slow line cut once a minute, each has the most then."""
+        began_at = time.monotonic()
         while not self._again.acquire(timeout=0.2):
             self._stop.check()
+        backoff.excuse(time.monotonic() - began_at)
         try:
             yield
         finally:
@@ -243,6 +247,12 @@ class Pipeline:
             yield piece
             moved[0] += piece.length
             self._watcher.moved(part.sending.file.path, piece.length, part.sending.file.size_bytes)
+
+    def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
+        self._troubled += 1
+        if answer.is_of_all or self._troubled > MOST_TROUBLED:
+            return store_unreachable(url, answer.why)
+        return StoreTroubled(path=part.sending.file.path, reason=answer.why)
 
     # -- finishing ----------------------------------------------------------------------------------------------------
 

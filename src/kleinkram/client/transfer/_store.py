@@ -18,9 +18,15 @@ from kleinkram.client.transfer._connections import Connections
 from kleinkram.client.transfer._source import FileSlice
 
 PATIENCE_S = 240.0
+# Of files that the store gave trouble with for so long, one after the other: then it is in trouble itself.
+MOST_TROUBLED = 3
 _WORTH_SAYING_S = 5.0
 
 _GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
+# What is no word about one object: of the store as a whole, where all others would meet the same.
+_OF_ALL = frozenset({"", "ServiceUnavailable", "SlowDown", "XMinioStorageFull"})
+# Never well, however often it is tried.
+_NEVER = frozenset({501, 505})
 _CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
 
 
@@ -36,12 +42,16 @@ class Answer(enum.Enum):
 
 @dataclass(frozen=True)
 class PutAnswer:
-    """What became of a PUT: the etag when taken, else the store's word for why not."""
+    """What became of a PUT: the etag when taken, else the store's word for why not.
+
+    `is_of_all`: others would meet the same.
+    """
 
     answer: Answer
     etag: str = ""
     reason: str = ""
     error: BaseException | None = None
+    is_of_all: bool = True
 
     @property
     def why(self) -> str:
@@ -93,7 +103,8 @@ class StoreDoor:
         if reply.status < 300 or reply.status == 412:
             return PutAnswer(Answer.taken, etag=reply.etag.strip('"'))
         code = _code(reply.content)
-        return PutAnswer(meaning(reply.status, code), reason=_reason(reply.status, code))
+        said = _reason(reply.status, code)
+        return PutAnswer(meaning(reply.status, code), reason=said, is_of_all=code in _OF_ALL)
 
     def get(self, url: str, first: int, last: int, slice_bytes: int) -> "GetAnswer":
         """GET the bytes first..last, both inclusive; the answer must be closed."""
@@ -110,7 +121,7 @@ class StoreDoor:
         code = _code(answer.read(2000))
         answer.close()
         reason = _reason(answer.status, code)
-        return GetAnswer(meaning(answer.status, code), None, slice_bytes, reason=reason, is_of_proxy=not code)
+        return GetAnswer(meaning(answer.status, code), None, slice_bytes, reason=reason, is_of_all=code in _OF_ALL)
 
 
 class GetAnswer:
@@ -124,12 +135,12 @@ class GetAnswer:
         *,
         reason: str = "",
         error: BaseException | None = None,
-        is_of_proxy: bool = False,
+        is_of_all: bool = False,
     ) -> None:
         self.answer = answer
         self.reason = reason
         self.error = error
-        self._is_of_proxy = is_of_proxy
+        self._is_of_all = is_of_all
         self._response = response
         self._slice_bytes = slice_bytes
 
@@ -139,9 +150,9 @@ class GetAnswer:
         return reason_of(self.error) if self.error else self.reason or "it sends nothing"
 
     @property
-    def is_away(self) -> bool:
-        """Whether the store itself said nothing at all: what it does say is of this object, and others may be had."""
-        return self.error is not None or (self.answer is Answer.try_again and self._is_of_proxy)
+    def is_of_all(self) -> bool:
+        """Whether others would meet the same, as nobody answers or not for any object."""
+        return self.error is not None or (self.answer is Answer.try_again and self._is_of_all)
 
     def slices(self) -> Iterator[bytes]:
         """Yield the bytes.
@@ -166,7 +177,7 @@ def meaning(status: int, code: str) -> Answer:
     if status == 403:
         return Answer.sign_again
     # 404 without the store's own word is that of a proxy which does not reach the store.
-    if status in {404, 408, 410, 429} or status >= 500 or code == "RequestTimeout":
+    if status in {404, 408, 410, 429} or (status >= 500 and status not in _NEVER) or code == "RequestTimeout":
         return Answer.try_again
     return Answer.refused
 

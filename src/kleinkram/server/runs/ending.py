@@ -1,5 +1,6 @@
 """How runs come to an end other than by their own: cancelled, or lost with their runners too often."""
 
+import datetime
 import uuid
 from collections.abc import Sequence
 from typing import Any
@@ -9,6 +10,7 @@ from sqlalchemy import Row, delete, func, or_, select, update
 from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.rights import Right
+from kleinkram.contract.runners import LEASE_S
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
@@ -17,13 +19,14 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import launching, reading
-from kleinkram.server.tables import mission, project, run, run_artifact, token, upload
+from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
 
 # So often a run is given to another runner after its own was lost.
 MOST_LOST = 2
 _BATCH = 500
+_SILENT = datetime.timedelta(seconds=LEASE_S)
 
 
 async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunRead:
@@ -83,8 +86,13 @@ async def forget_attempt(db: Connection, run_ids: Sequence[uuid.UUID], *, keep_r
 
 
 async def take_back_lost(db: Connection) -> int:
-    """Give runs whose lease ran out to the queue again, or end them; return how many there were."""
-    lapsed = run.c.state.in_(HELD) & (run.c.lease_ends_at < func.now())
+    """Give runs whose lease ran out to the queue again, or end them; return how many there were.
+
+    Who wants one cancelled whose runner is silent need not wait for a long lease to run out.
+    """
+    heard = (runner.c.id == run.c.runner_id) & (runner.c.last_seen_at > func.now() - _SILENT)
+    silent = run.c.cancel_requested_at.is_not(None) & ~select(runner.c.id).where(heard).exists()
+    lapsed = run.c.state.in_(HELD) & ((run.c.lease_ends_at < func.now()) | silent)
     stmt = select(run).where(lapsed).order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True)
     rows = (await db.execute(stmt)).all()
     for row in rows:

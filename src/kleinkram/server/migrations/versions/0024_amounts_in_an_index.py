@@ -27,8 +27,9 @@ _OLD = "UPDATE mission SET file_count = NULL WHERE file_count IS NOT NULL AND de
 
 
 def upgrade() -> None:
-    # All that follows needs no stronger lock: two that hold a weaker one and want this would wait for each other.
-    op.execute("LOCK TABLE mission IN SHARE ROW EXCLUSIVE MODE")
+    # All that follows needs no stronger lock, and whoever holds a mission to write it is waited for: two that have
+    # begun would wait for each other.
+    op.execute("LOCK TABLE mission IN EXCLUSIVE MODE")
     op.execute(_FORGET)
     op.execute(_ON_MISSIONS)
     op.execute(_OLD)

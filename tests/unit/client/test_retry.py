@@ -1,0 +1,12 @@
+"""How long something is tried again."""
+
+from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
+
+
+def test_patience_runs_out_and_what_else_was_waited_for_is_not_counted() -> None:
+    waits: list[float] = []
+    backoff = Backoff(0.0, waits.append)
+    assert not backoff.pause()
+    backoff.excuse(10 * LONGEST_WAIT_S)
+    assert backoff.pause()
+    assert len(waits) == 1
