@@ -247,20 +247,16 @@ class Api:
     def _unreachable(self, error: urllib3.exceptions.HTTPError) -> ServerUnreachable:
         return ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
 
+    def _strange(self, what: str, answer: urllib3.BaseHTTPResponse) -> KleinkramError:
+        if answer.status in _OF_PROXIES:
+            return ServerUnreachable(url=self.endpoint.url, reason=f"what stands before it says {answer.status}")
+        return self._not_understood(what, f"status {answer.status}{_said(answer.data)}")
+
     def _failure(self, what: str, answer: urllib3.BaseHTTPResponse, request_id: str) -> KleinkramError:
         try:
             problem = ProblemDocument.model_validate_json(answer.data)
         except ValidationError:
-            reason, request_id = (
-                f"status {answer.status}{_said(answer.data)}",
-                answer.headers.get("X-Request-Id", request_id),
-            )
-            if answer.status in _OF_PROXIES:
-                unreachable = ServerUnreachable(
-                    url=self.endpoint.url, reason=f"what stands before it says {answer.status}"
-                )
-                return remember_request(unreachable, request_id)
-            return remember_request(self._not_understood(what, reason), request_id)
+            return remember_request(self._strange(what, answer), answer.headers.get("X-Request-Id", request_id))
         error = from_problem(problem)
         if isinstance(error, NotAuthenticated):
             error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)

@@ -1,5 +1,6 @@
 """Keeping what a run left: read as a stranger's word, sent to the store, and told to the server."""
 
+import datetime
 import logging
 import math
 from collections.abc import Sequence
@@ -57,7 +58,7 @@ class Keeping:
         self._orders = orders
         self._redactor = redactor
         self._leaving: Leaving | None = None
-        # What is said of the run meanwhile: how far it came, and what its results wait for.
+        # What is said of the run meanwhile: how far it came, and what its results waited for.
         self.progress = progress and Progress(fraction=progress.fraction)
 
     def end(self) -> None:
@@ -149,7 +150,7 @@ class Keeping:
         away = Backoff(_AWAY_S, self._orders.wait)
         while True:
             self._orders.check()
-            self._leaving = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS, moves=self._moves)
+            self._leaving = Leaving(uploads, self._ground.url, claim, self._folder / _JOURNALS)
             try:
                 refused = self._leaving.send(files)
                 self._orders.check()
@@ -157,10 +158,10 @@ class Keeping:
                 raise
             except KleinkramError as error:
                 refused = [Refused(file.path, str(error), may_pass=isinstance(error, _AWAY)) for file in files]
-            is_away = bool(refused) and all(each.may_pass for each in refused)
-            if is_away:
-                self._waits_for(refused[0].why)
-            rounds += not (is_away and away.pause())
+            passing = next((each.why for each in refused if each.may_pass), None)
+            if passing is not None:
+                self._say_why(passing)
+            rounds += not (passing is not None and away.pause())
             if not refused or rounds == _ROUNDS:
                 return refused
             _log.warning("what the run %s left is sent again: %s", claim.run_id, refused[0].why)
@@ -168,13 +169,12 @@ class Keeping:
             files = [file for file in files if file.path in left]
             self._orders.wait(_AGAIN_S)
 
-    def _waits_for(self, why: str) -> None:
-        message = _short(f"what it left waits: {why.partition('. ')[0]}", _MOST_SAID)
-        self.progress = Progress(fraction=self.progress.fraction if self.progress else 1, message=message)
-
-    def _moves(self) -> None:
-        if self.progress is not None and self.progress.message:
-            self.progress = Progress(fraction=self.progress.fraction)
+    def _say_why(self, why: str) -> None:
+        """Have whoever looks at the run see why it lasts: with the time, as it stands there when all is well again."""
+        now = datetime.datetime.now(datetime.timezone.utc)
+        said = f"what it left is sent again; at {now:%Y-%m-%d %H:%M}Z: {why.partition('. ')[0]}"
+        fraction = self.progress.fraction if self.progress else 1
+        self.progress = Progress(fraction=fraction, message=_short(said, _MOST_SAID))
 
     def _said(self, ending: Ending, report: Report, problems: Sequence[str]) -> RunFinish:
         return RunFinish(

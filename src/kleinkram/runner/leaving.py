@@ -1,7 +1,7 @@
 """Sending what a run left, and its log, to the store: by the protocol that all uploads follow."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,27 +28,10 @@ class Refused:
     may_pass: bool = False
 
 
-class _Moves(Unwatched):
-    """A watcher that only says that something moves."""
-
-    def __init__(self, moves: Callable[[], None]) -> None:
-        self._moves = moves
-
-    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
-        """Say so."""
-        if size_bytes > 0:
-            self._moves()
-
-
 class Leaving:
-    """One run's files on their way. `end`, from another thread, has `send` return soon.
+    """One run's files on their way. `end`, from another thread, has `send` return soon."""
 
-    `moves` is called, from other threads, whenever some bytes went.
-    """
-
-    def __init__(
-        self, uploads: ArtifactUploads, server: str, claim: Claim, journals: Path, *, moves: Callable[[], None]
-    ) -> None:
+    def __init__(self, uploads: ArtifactUploads, server: str, claim: Claim, journals: Path) -> None:
         self._claim = claim
         self._results: list[TransferResult] = []
         self._lock = threading.Lock()
@@ -57,7 +40,7 @@ class Leaving:
             server,
             claim.run_id,
             pace=Pace(None),
-            watcher=_Moves(moves),
+            watcher=Unwatched(),
             ended=self._ended,
             journals=journals,
         )

@@ -117,7 +117,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
 def _write_arrays_as_they_are(connection: Any, *_: object) -> None:
     """Send arrays in PostgreSQL's own form: as text, each element is written out, escaped and read again.
 
-    A fifth of the time for ids and a hundredth for checksums, of which an upload of many files sends some for each.
+    A fifth of the time for ids and a tenth for checksums, of which an upload of many files sends some for each.
     """
     connection.driver_connection.adapters.register_dumper(list, ListBinaryDumper)
 

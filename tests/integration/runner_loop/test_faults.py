@@ -93,13 +93,18 @@ def test_what_is_not_taken_is_sent_again(
     assert len(finish.problems) == 2 - len(kept)
 
 
-def test_results_are_kept_until_the_store_is_back(
-    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However long that takes: more rounds than one that refuses them is given."""
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a runner give up soon, and begin anew at once."""
     monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
     monkeypatch.setattr(_uploader, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
     monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_results_are_kept_until_the_store_is_back(server: FakeServer, runners: Runners) -> None:
+    """However long that takes: more rounds than one that refuses them is given."""
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
@@ -110,6 +115,7 @@ def test_results_are_kept_until_the_store_is_back(
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize(
     ("store_says", "waits_for"),
     [
@@ -118,13 +124,10 @@ def test_results_are_kept_until_the_store_is_back(
     ],
 )
 def test_results_are_kept_while_the_store_is_in_trouble(
-    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, store_says: bytes, waits_for: str
+    server: FakeServer, runners: Runners, store_says: bytes, waits_for: str
 ) -> None:
     """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
     server.store_says = store_says
-    monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")

@@ -51,7 +51,7 @@ class PutAnswer:
     etag: str = ""
     reason: str = ""
     error: BaseException | None = None
-    is_of_all: bool = True
+    is_of_all: bool = False
 
     @property
     def why(self) -> str:
@@ -98,7 +98,7 @@ class StoreDoor:
         try:
             reply = self._connections.put(url, headers, body)
         except (urllib3.exceptions.HTTPError, http.client.HTTPException, OSError) as error:
-            return PutAnswer(Answer.try_again, error=error)
+            return PutAnswer(Answer.try_again, error=error, is_of_all=True)
         # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
         if reply.status < 300 or reply.status == 412:
             return PutAnswer(Answer.taken, etag=reply.etag.strip('"'))

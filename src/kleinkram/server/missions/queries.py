@@ -10,10 +10,8 @@ from sqlalchemy import (
     ColumnElement,
     Row,
     Select,
-    Text,
     Update,
     bindparam,
-    cast,
     func,
     literal,
     select,
@@ -56,8 +54,7 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         level_on_mission(actor).label("level"),
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
-        # As text: read as an array it takes as long as all else of a mission.
-        cast(amounts(actor), Text).label("amounts"),
+        amounts(actor).label("amounts"),
     )
     return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
@@ -77,7 +74,7 @@ def _to_mission(said: dict[str, Any]) -> MissionRead:
     said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
     if not said["is_whole"]:
         said |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
-    said |= zip(_AMOUNTS, map(int, said["amounts"][1:-1].split(",")), strict=True)
+    said |= zip(_AMOUNTS, map(int, said["amounts"]), strict=True)
     said["start_ns"], said["end_ns"] = said["shown_start_ns"], said["shown_end_ns"]
     said["recordings_current"] = said["derived_revision"] == said["files_revision"]
     said["right"] = Right.of_level(said["level"])

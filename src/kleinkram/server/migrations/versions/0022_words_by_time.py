@@ -1,9 +1,8 @@
 """Words of paths are looked up apart in files that have a time and in those that have none.
 
 So what is found among the latter alone, which come last in lists, need not be looked for among all others first. With 2
-million files the migration takes less than half a minute, in which nothing is
-written. The index that held all goes with the next revision: its lock is a stronger one, and whoever comes in between
-would wait for the other.
+million files the migration takes less than half a minute, in which nothing is written. The index that held all goes
+with the next revision: its lock is a stronger one, and whoever comes in between would wait for the other.
 """
 
 import sqlalchemy as sa
