@@ -12,9 +12,13 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _SHORT_BYTES = 128
 
 
-def write_over(path: Path, text: str) -> None:
-    """Write a short file where it stands: once it is there, that takes no room of the disk."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+def write_over(path: Path, text: str, *, makes: bool = True) -> None:
+    """Write a short file where it stands: once it is there, that takes no room of the disk.
+
+    Raises:
+        OSError: it cannot be written, or is not there and `makes` says that it is not to be made.
+    """
+    descriptor = os.open(path, os.O_WRONLY | (os.O_CREAT if makes else 0) | os.O_CLOEXEC, 0o600)
     try:
         # Of constant length, and one write: it is there as a whole or not at all.
         os.pwrite(descriptor, text.ljust(_SHORT_BYTES).encode(), 0)

@@ -95,8 +95,10 @@ class HeldRun:
             self.orders.give(Order.let_go)
             return
         self.lease.renew(asked_s, lease_s)
-        with contextlib.suppress(OSError):  # its folder is gone, or the disk is full: then it ends early
-            self.lease.write_down(self._attempt.folder)
+        with contextlib.suppress(
+            OSError
+        ):  # it has not begun, or its folder is gone, or the disk broke: then it ends early
+            self.lease.note_again(self._attempt.folder)
         del self._samples[: len(beat.samples)]
         self._has_word.set()
         if answer.verdict is Verdict.cancel:

@@ -94,3 +94,11 @@ class Lease:
     def write_down(self, folder: Path) -> None:
         """Note it in a run's folder."""
         write_over(folder / HELD, str(self._until_s))
+
+    def note_again(self, folder: Path) -> None:
+        """Note it where it was noted: a folder that is just being removed must not get it back.
+
+        Raises:
+            OSError: it was not, or cannot be.
+        """
+        write_over(folder / HELD, str(self._until_s), makes=False)
