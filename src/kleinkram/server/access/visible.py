@@ -81,7 +81,7 @@ def add_up_missions(actor: Actor, number: ColumnElement[Any]) -> Select[Any]:
     """
     mine = true() if actor.is_admin else project.c.id.in_(_my_projects(actor.person_id, Right.read))
     live = select(project.c.id, mine.label("mine")).where(project.c.deleted_at.is_(None))
-    here = live.cte().prefix_with("MATERIALIZED")
+    here = live.cte("here").prefix_with("MATERIALIZED")
     granted = or_(here.c.mine, _granted_itself(actor.person_id, Right.read))
     stmt = select(number).select_from(mission).join(here, here.c.id == mission.c.project_id)
     return stmt.where(mission.c.deleted_at.is_(None), _reaches_mission(actor, Right.read, granted))
@@ -397,11 +397,12 @@ def _granted_once(person_id: uuid.UUID | None, of: FromClause = mission) -> Colu
     on_project = _my_projects(person_id, Right.read)
     on_mission = _granted_to(person_id, access_grant.c.mission_id, Right.read)
     # Otherwise the database takes it to be looked up with each row, and reads everything before it sorts.
-    return or_(of.c.project_id.in_(_once(on_project)), of.c.id.in_(_once(on_mission)))
+    projects, missions = _once("my_projects", on_project), _once("my_missions", on_mission)
+    return or_(of.c.project_id.in_(projects), of.c.id.in_(missions))
 
 
-def _once(found: Select[Any] | CompoundSelect[Any]) -> Select[Any]:
-    return select(found.cte().prefix_with("MATERIALIZED").c[0])
+def _once(name: str, found: Select[Any] | CompoundSelect[Any]) -> Select[Any]:
+    return select(found.cte(name).prefix_with("MATERIALIZED").c[0])
 
 
 def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[Any]:
