@@ -221,9 +221,10 @@ def _order(sort: FileSort, *, is_walked: bool) -> Order:
     return Order([columns[key], file.c.id], descending, name=f"files by {key}")
 
 
-def count_all(actor: Actor) -> Select[Any]:
+@functools.lru_cache(maxsize=KEPT)
+def count_all(asker: Actor) -> Select[Any]:
     """Return the number of all visible files, as their missions know it."""
-    return add_up_missions(actor, func.coalesce(func.sum(file_amounts(actor)[0]), 0))
+    return add_up_missions(asker, func.coalesce(func.sum(file_amounts(asker)[0]), 0))
 
 
 @functools.lru_cache(maxsize=KEPT)

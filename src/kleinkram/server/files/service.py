@@ -89,7 +89,7 @@ async def list_files(
         InvalidCursor: the cursor is not of this list.
     """
     if page.count and matching == FileFilter():
-        total = int((await db.execute(queries.count_all(actor))).scalar_one())
+        total = int((await db.execute(queries.count_all(whoever(actor)), asking(actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
     rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None

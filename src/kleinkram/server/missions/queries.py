@@ -24,6 +24,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
+    add_up_missions,
     joined_missions,
     level_on_mission,
     sees_whole_missions,
@@ -137,6 +138,12 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
     """
     narrowed = narrow_missions(actor, visible_missions(actor), matching)
     return narrowed if found is None else narrow_missions_found(actor, narrowed, found)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def count_all(asker: Actor) -> Select[Any]:
+    """Return the number of all visible missions."""
+    return add_up_missions(asker, func.count())
 
 
 @functools.lru_cache(maxsize=KEPT)

@@ -29,7 +29,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
-from kleinkram.server.access.visible import add_up_missions, sees_whole_missions
+from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
@@ -117,7 +117,7 @@ async def list_missions(
         InvalidCursor: the cursor is not of this list.
     """
     if page.count and found is None and matching == MissionFilter():
-        total = int((await db.execute(add_up_missions(actor, func.count()))).scalar_one())
+        total = int((await db.execute(queries.count_all(whoever(actor)), asking(actor))).scalar_one())
         page = replace(page, count=False)
         listed = await list_missions(db, actor, matching=matching, sort=sort, page=page)
         return listed.model_copy(update={"total": total})

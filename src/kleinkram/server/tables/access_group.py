@@ -89,4 +89,17 @@ access_grant = Table(
     Index("uq_access_grant_project", "project_id", "group_id", unique=True, postgresql_include=_DECIDING),
     Index("uq_access_grant_mission", "mission_id", "group_id", unique=True, postgresql_include=_DECIDING),
     Index("ix_access_grant_group_id", "group_id", postgresql_include=["project_id", "mission_id", *_DECIDING]),
+    # Those on projects are few, and those on missions may be thousands: neither are read for the other.
+    Index(
+        "ix_access_grant_projects",
+        "group_id",
+        postgresql_include=["project_id", *_DECIDING],
+        postgresql_where=text("project_id IS NOT NULL"),
+    ),
+    Index(
+        "ix_access_grant_missions",
+        "group_id",
+        postgresql_include=["mission_id", *_DECIDING],
+        postgresql_where=text("mission_id IS NOT NULL"),
+    ),
 )
