@@ -16,7 +16,7 @@ from benchmarks.instance import DATA, GB, STAGE, instance, klein, mission_with, 
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
-from benchmarks.scale.rows import load_rows, scale_rows
+from benchmarks.scale.rows import load_rows, scale_rows, size_label
 from benchmarks.signing_in import sign_in_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
 from benchmarks.web import web_rows
@@ -122,9 +122,8 @@ def rows_of_a_size(size: int) -> Iterator[Row]:
         address = environment["KLEINKRAM_DATABASE_URL"].split("@", 1)[1]
         owner_url = f"postgresql://kleinkram_migrate:{secret}@{address}"
         yield from scale_rows(size, told()["url"], owner_token, environment, owner_url=owner_url)
-        if size == 1:
-            yield from many_small_rows(environment)
-            settle()
+        yield from many_small_rows(size_label(size), environment)
+        settle()
         yield from load_rows(size, told()["url"], owner_token, environment)
 
 

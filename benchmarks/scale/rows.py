@@ -47,7 +47,7 @@ def scale_rows(
     database_url = environment["KLEINKRAM_DATABASE_URL"]
     began = time.perf_counter()
     seed.fill(database_url, seed.Size(size), owner_url=owner_url, say=lambda text: print(text, file=sys.stderr))
-    label = _label(size)
+    label = size_label(size)
     asked = places(150 if size > 1 else 50)
     statements = statements_of(environment, owner_token, asked)
     tokens = {"admin": owner_token, "reader": seed.ALL}
@@ -57,13 +57,14 @@ def scale_rows(
 
 def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
     """Measure the filled instance while many ask, write and delete, which leaves much behind."""
-    label = _label(size)
+    label = size_label(size)
     yield _crowd_row(label, _crowd([url], owner_token))
     yield _two_row(label, environment, owner_token)
     yield _sweep_row(label, url, owner_token, environment)
 
 
-def _label(size: int) -> str:
+def size_label(size: int) -> str:
+    """Return how a row says which size it is of."""
     return f"{200_000 * size:_} files".replace("_", " ")
 
 
