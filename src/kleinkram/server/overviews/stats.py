@@ -15,9 +15,9 @@ from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries
 from kleinkram.server.projects import service as projects
 from kleinkram.server.search import service as search
+from kleinkram.server.search.queries import add_up
 
 _MONTH = "month"
-_SUMMED = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
 
 
 async def get_project_stats(db: Connection, actor: Actor, *, project_id: uuid.UUID, by: str, most: int) -> Overview:
@@ -76,11 +76,11 @@ def _bucketed(rows: Sequence[StatsRow], field: MetadataField | None, most: int) 
     is_number = field.type is FieldType.number if field else len(numbers) == len(rows)
     if not is_number:
         ranked = sorted(rows, key=lambda row: (-row.duration_ns, -row.size_bytes, row.group or ""))
-        return _each(ranked[:most]), _total(None, ranked[most:]) if ranked[most:] else None
+        return _each(ranked[:most]), add_up(ranked[most:]) if ranked[most:] else None
     counted = sorted((row for row in rows if row.group in numbers), key=lambda row: numbers[row.group])
     strange = [row for row in rows if row.group not in numbers]
     ranges = _each(counted) if len(counted) <= most else _ranges(counted, numbers, most)
-    return ranges, _total(None, strange) if strange else None
+    return ranges, add_up(strange) if strange else None
 
 
 def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: int) -> list[Bucket]:
@@ -90,7 +90,7 @@ def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: in
     for row, value in zip(rows, values, strict=True):
         inside.setdefault(math.floor(value / step), []).append(row)
     return [
-        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=_total(None, held))
+        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=add_up(held))
         for place, held in inside.items()
     ]
 
@@ -113,8 +113,3 @@ def _number(text: str | None) -> float | None:
     except ValueError:
         return None
     return number if math.isfinite(number) else None
-
-
-def _total(group: str | None, rows: Iterable[StatsRow]) -> StatsRow:
-    held = list(rows)
-    return StatsRow(group=group, **{name: sum(getattr(row, name) for row in held) for name in _SUMMED})

@@ -1,7 +1,7 @@
 """Topics across files, and statistics. Functions return selects; they touch no connection."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -37,6 +37,7 @@ from kleinkram.server.tables import blob, file, mission, project, recording, top
 
 _MEMORY = "32MB"
 _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
+_NUMBERS = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
 
 
 def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
@@ -114,6 +115,11 @@ def group_column(by: str) -> ColumnElement[Any] | None:
     return columns.get(by)
 
 
+def shares_no_mission(by: str) -> bool:
+    """Say whether each mission is in one group, with all that it holds: then the groups add up to the whole."""
+    return by in {"project", "mission"} or _METADATA.fullmatch(by) is not None
+
+
 def statistics(
     actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool, whole: bool
 ) -> Select[Any]:
@@ -170,6 +176,11 @@ def _grouped_files(actor: Actor, matching: FileFilter, *, group: ColumnElement[A
 
 def to_stats(row: Row[Any] | None) -> StatsRow:
     """Return the statistics that a row stands for; without a row, none of anything."""
-    numbers = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
-    counted = {name: int((row._mapping[name] if row else None) or 0) for name in numbers}
+    counted = {name: int((row._mapping[name] if row else None) or 0) for name in _NUMBERS}
     return StatsRow(group=row.group if row else None, **counted)
+
+
+def add_up(rows: Iterable[StatsRow]) -> StatsRow:
+    """Return what groups that have nothing in common amount to together."""
+    held = list(rows)
+    return StatsRow(group=None, **{name: sum(getattr(row, name) for row in held) for name in _NUMBERS})

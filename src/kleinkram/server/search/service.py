@@ -137,5 +137,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
     if len(rows) > MAX_GROUPS:
         reason = f"these files make more than {MAX_GROUPS} groups; narrow the filter, or group by something coarser"
         raise InvalidQuery(expression=by, reason=reason)
+    if queries.shares_no_mission(by):
+        return StatsRead(by=by, rows=rows, total=queries.add_up(rows))
     whole = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=True)
     return StatsRead(by=by, rows=rows, total=queries.to_stats((await db.execute(whole)).one_or_none()))
