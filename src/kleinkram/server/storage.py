@@ -232,10 +232,20 @@ class Storage:
         Raises:
             StoreUnavailable: the store does not answer, or stops in the middle.
         """
-        question = Question("GET", query={"list-type": "2", "prefix": prefix})
-        marker = ("continuation-token", "NextContinuationToken")
-        async for page in self._pages("list objects", question, "Contents", marker):
+        async for page in self._objects(prefix):
             yield {entry["Key"]: int(entry["Size"]) for entry in page}
+
+    async def held_objects(self, prefix: str) -> dict[str, HeldPart]:
+        """Return, by key, the objects whose keys begin with `prefix`: each as the one part in which it came."""
+        return {
+            entry["Key"]: HeldPart(number=1, size_bytes=int(entry["Size"]), etag=entry["ETag"])
+            async for page in self._objects(prefix)
+            for entry in page
+        }
+
+    def _objects(self, prefix: str) -> AsyncIterator[list[dict[str, str]]]:
+        question = Question("GET", query={"list-type": "2", "prefix": prefix})
+        return self._pages("list objects", question, "Contents", ("continuation-token", "NextContinuationToken"))
 
     async def open_multiparts(self, prefix: str) -> list[tuple[str, str]]:
         """Return key and id of the multipart uploads under way whose keys begin with `prefix`."""

@@ -1,4 +1,4 @@
-"""What the store does at the end of uploads: it joins their parts, and says whether the whole is what was announced."""
+"""What the store says of uploads: what it holds of small ones, and at the end whether all is there as announced."""
 
 import asyncio
 import uuid
@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Row
 
 from kleinkram.contract.errors import ChecksumMismatch, KleinkramError, UploadGone, UploadIncomplete
-from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.contract.uploads import ChecksumKind, HeldPart
 from kleinkram.server.storage import Storage, StoreMissing, StoreRefused
 from kleinkram.server.uploads.signing_parts import expected_part_bytes, is_multipart
 
@@ -33,13 +33,26 @@ async def join_at_store(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
     return failures
 
 
-async def _find_whole(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
-    """Find files of one part: their address was signed for one checksum, so what is there is what was named."""
-    sizes: dict[str, int] = {}
+async def held_whole(storage: Storage, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
+    """Return what the store holds of files of one part: all of a file, as that part, or nothing."""
+    held: dict[str, HeldPart] = {}
+    for prefix, group in _by_prefix(rows).items():
+        for asked in [prefix] if len(group) >= _LISTING_WORTH else [row.key for row in group]:
+            held |= await storage.held_objects(asked)
+    return {row.id: [part] for row in rows if (part := held.get(row.key)) and part.size_bytes == row.size_bytes}
+
+
+def _by_prefix(rows: Sequence[Row[Any]]) -> dict[str, list[Row[Any]]]:
     by_prefix: dict[str, list[Row[Any]]] = {}
     for row in rows:
         by_prefix.setdefault(row.key.split("/")[0] + "/", []).append(row)
-    for prefix, group in by_prefix.items():
+    return by_prefix
+
+
+async def _find_whole(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
+    """Find files of one part: their address was signed for one checksum, so what is there is what was named."""
+    sizes: dict[str, int] = {}
+    for prefix, group in _by_prefix(rows).items():
         if len(group) >= _LISTING_WORTH:
             sizes |= await storage.sizes(prefix)
         else:

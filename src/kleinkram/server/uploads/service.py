@@ -53,6 +53,7 @@ from kleinkram.server.site import Site
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.joining import held_whole
 from kleinkram.server.uploads.linking import link_twins
 from kleinkram.server.uploads.rules import Decision, Known, Way, as_shown, content_of, decide, first_come
 from kleinkram.server.uploads.signing_parts import first_checksum, is_multipart, renewed, sign_first
@@ -85,6 +86,9 @@ async def begin_uploads(
         multipart = [row for row in rows.values() if is_multipart(row)]
         resumed = {decision.ref for decision in decisions if decision.way is Way.resume and decision.ref}
         parts = await open_at_store(site, multipart, resumed=resumed) if multipart else {}
+        # So much may be sent and not yet completed that to send it again would take long.
+        sent = [rows[each] for each in resumed if not is_multipart(rows[each]) and rows[each].signed_checksum]
+        parts |= await held_whole(site.storage, sent)
     except StoreUnavailable:
         await let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
@@ -303,9 +307,12 @@ async def get_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> Uploa
         row = (await db.execute(queries.own_uploads(actor).where(upload.c.id == upload_id))).one_or_none()
     if row is None:
         raise NotFound(noun="upload", ref=str(upload_id))
-    held = None
-    if row.multipart_id is not None and row.state == UploadState.open.value:
-        held = await site.storage.held_parts(row.key, row.multipart_id)
+    held: list[HeldPart] | None = None
+    if row.state == UploadState.open.value:
+        if row.multipart_id is not None:
+            held = await site.storage.held_parts(row.key, row.multipart_id)
+        elif row.signed_checksum is not None:
+            held = (await held_whole(site.storage, [row])).get(row.id)
     return read_upload(row, held or [])
 
 

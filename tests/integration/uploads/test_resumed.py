@@ -1,0 +1,70 @@
+"""Small files that were sent, and not completed: whoever comes back after a kill does not send them once more."""
+
+import os
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kleinkram.client import connect
+from kleinkram.client.transfer import Outcome, plan_upload, upload
+from kleinkram.client.transfer.journal import journals_dir
+from kleinkram.client.uploads import Uploads
+from kleinkram.contract.uploads import UploadFinish
+from tests.integration.running import Api
+from tests.integration.uploading import begin, complete, send, wait_until
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_who_comes_back_is_told_which_small_files_are_there(api: Api, mission_id: str, count: int) -> None:
+    bodies = {f"{number}.txt": os.urandom(10 + number) for number in range(count)}
+    first = {each["upload"]["path"]: each["upload"] for each in begin(api, mission_id, bodies)}
+    sent = [path for number, path in enumerate(bodies) if number % 3 == 0]
+    for path in sent:
+        send(api, first[path], bodies[path])
+    again = [{"path": path, "size_bytes": len(body), "upload_id": first[path]["id"]} for path, body in bodies.items()]
+    for decision in api.post(f"/missions/{mission_id}/uploads", {"files": again}).ok()["items"]:
+        told = decision["upload"]
+        assert decision["decision"] == "send"
+        assert told["id"] == first[told["path"]]["id"]
+        size_bytes = len(bodies[told["path"]])
+        held = [(part["number"], part["size_bytes"]) for part in told["parts"]]
+        assert held == ([(1, size_bytes)] if told["path"] in sent else [])
+        assert api.get(f"/uploads/{told['id']}").ok()["parts"] == told["parts"]
+    for path in sent:
+        assert complete(api, first[path], bodies[path])["outcome"] == "completed"
+
+
+class _Killed(BaseException):
+    """As by kill -9: nothing is tidied up on the way."""
+
+
+@pytest.mark.parametrize("count", [1, 30])
+def test_a_client_killed_before_it_completes_sends_nothing_again(
+    api: Api, mission_id: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for number in range(count):
+        (folder / f"{number}.bin").write_bytes(os.urandom(1000 + number))
+        os.utime(folder / f"{number}.bin", (1_700_000_000, 1_700_000_000))
+    planned = plan_upload([folder])
+
+    def all_are_sent() -> bool:
+        return [len(path.read_text().splitlines()) for path in journals_dir().glob("*.jsonl")] == [2] * count
+
+    def killed(_self: Uploads, _finishes: Sequence[UploadFinish]) -> Any:
+        wait_until(all_are_sent)
+        raise _Killed
+
+    with connect(api.url, api.token) as client:
+        with monkeypatch.context() as patched:
+            patched.setattr(Uploads, "complete", killed)
+            with pytest.raises(_Killed):
+                upload(client, uuid.UUID(mission_id), planned)
+        results = upload(client, uuid.UUID(mission_id), planned).results
+    assert [(result.outcome, result.moved_bytes) for result in results] == [(Outcome.uploaded, 0)] * count
+    assert len(api.all("/files", {"mission_id": mission_id})) == count
