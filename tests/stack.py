@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.standalone import binaries, child, ports, postgres, s3, store
+from kleinkram.standalone import binaries, child, postgres, s3, store
+from tests.ports import choose_port
 
 _numbers = itertools.count(1)
 
@@ -92,7 +93,7 @@ def _postgres() -> Iterator[RunningPostgres]:
             data_dir=folder,
             folder=folder / "postgres",
             log=folder / "postgres.log",
-            port=ports.choose_port(),
+            port=choose_port(),
             passwords=postgres.PostgresPasswords(*(secrets.token_hex(16) for _ in range(3))),
         )
         postgres.initialise(cluster)
@@ -116,7 +117,7 @@ def _store() -> Iterator[RunningStore]:
             data_dir=folder,
             folder=folder,
             log=folder / "store.log",
-            ports=ports.choose_ports(store.PORT_NAMES),
+            ports={name: choose_port() for name in store.PORT_NAMES},
             access_key=secrets.token_hex(10),
             secret_key=secrets.token_hex(20),
         )

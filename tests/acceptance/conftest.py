@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 import urllib3
 
-from kleinkram.standalone.ports import choose_port
+from tests.ports import choose_port
 
 from .browser import Browser
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from kleinkram.standalone.ports import choose_port
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
+from tests.ports import choose_port
 
 START_TIMEOUT_S = 90
 

@@ -1,5 +1,6 @@
 """A machine is lost with all that was on it, and comes back from a backup that was made while somebody was sending."""
 
+import contextlib
 import os
 import random
 import shutil
@@ -72,7 +73,8 @@ def _lose(house: House) -> None:
     """All that runs is killed, and the disk is gone."""
     house.kill("supervisor")
     for pid in marked_processes(house.data_dir):
-        os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError):  # they end with the supervisor, by themselves
+            os.kill(pid, signal.SIGKILL)
     wait_until(lambda: marked_processes(house.data_dir) == [], "all parts to be gone")
     shutil.rmtree(house.data_dir)
 

@@ -65,7 +65,7 @@ def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
         assert not too_small.path("large.bin.klein-part").exists(), "nothing was begun"
     with small_disk(back, 60 * MIB) as filling:
         inside = replace(terminal, prefix=filling.inside)
-        process = inside.start(*download, "--limit-rate", "20MiB")
+        process = inside.start(*download, "--limit-rate", "4MiB")
         wait_until(filling.path("large.bin.klein-journal").exists, "the download to begin")
         filling.fill()
         ended = end(process)

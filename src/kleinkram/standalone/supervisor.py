@@ -212,23 +212,24 @@ class Supervisor:
         asks again only seconds later; until then every PUT hangs. Nothing is in flight yet, so killing it is safe.
         """
         access = self.plan.store.access
-        for _ in range(_STORE_STARTS):
+        for number in range(_STORE_STARTS):
             running = self.parts["store"]
             self._wait(lambda: health.answers(access.endpoint), running)
-            if self._takes_bytes_soon(running):
+            # Longer with each start: it may be the machine that is slow.
+            if self._takes_bytes_within(_STORE_PATIENCE_S * 2**number, running):
                 return
             _say(f"the store listens but takes no bytes: starting it anew; log: {running.part.log}")
             child.stop(running.child, sign=signal.SIGKILL, timeout_s=10)
             self.parts["store"] = launch(running.part)
         self._wait(lambda: s3.proves_ready(access, store.BUCKET, timeout_s=30), self.parts["store"])
 
-    def _takes_bytes_soon(self, running: RunningPart) -> bool:
+    def _takes_bytes_within(self, patience_s: float, running: RunningPart) -> bool:
         proven = False
-        deadline = time.monotonic() + _STORE_PATIENCE_S
+        deadline = time.monotonic() + patience_s
 
         def proven_or_late() -> bool:
             nonlocal proven
-            proven = s3.proves_ready(self.plan.store.access, store.BUCKET, timeout_s=_STORE_PATIENCE_S)
+            proven = s3.proves_ready(self.plan.store.access, store.BUCKET, timeout_s=patience_s)
             return proven or time.monotonic() > deadline
 
         self._wait(proven_or_late, running)

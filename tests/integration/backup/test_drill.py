@@ -46,7 +46,7 @@ from tests.integration.uploading import begin, send, upload, upload_all
 from tests.stack import RunningPostgres
 
 pytestmark = pytest.mark.slow
-_RATE_BYTES_PER_S = 8_000_000  # so that people get something done meanwhile
+_RATE_BYTES_PER_S = 4_000_000  # so that people get something done meanwhile
 _SEED = int(os.environ.get("KLEINKRAM_BACKUP_SEED", "1"))
 
 

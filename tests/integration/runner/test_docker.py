@@ -237,7 +237,7 @@ def test_a_runs_time_is_counted_while_nobody_watches(bench: Bench) -> None:
     time.sleep(2)
     began = time.monotonic()
     assert bench.end_of(work).reason is EndReason.time
-    assert time.monotonic() - began < 2
+    assert time.monotonic() - began < 20, "not counted anew, nor to its end"
 
 
 def test_doors_are_made_again_by_the_next_warden(bench: Bench) -> None:

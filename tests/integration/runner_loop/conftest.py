@@ -78,7 +78,7 @@ class Runners:
     def kill(self, process: subprocess.Popen[bytes], sign: signal.Signals = signal.SIGKILL) -> None:
         """End a runner's process."""
         process.send_signal(sign)
-        process.wait(timeout=10)
+        process.wait(timeout=30)
 
     def close(self) -> None:
         """End what is left, runs included."""

@@ -17,7 +17,7 @@ def test_a_log_is_seen_while_it_grows(server: FakeServer, runners: Runners) -> N
     runners.start()
     run = server.launch(
         "import time\nfrom kleinkram.action import progress\n"
-        "for n in range(4):\n    progress(n / 4)\n    print('line', n, flush=True)\n    time.sleep(0.6)\n"
+        "for n in range(4):\n    progress(n / 4)\n    print('line', n, flush=True)\n    time.sleep(0.6 if n else 2)\n"
     )
     wait_until(lambda: run.shown_log)
     assert run.finishes == []

@@ -196,7 +196,7 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
     admin = people.person(lab, admin=True)
     runner = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
     runner.hello()
-    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 4}) for _ in range(MOST_STREAMS + 1)]
+    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MOST_STREAMS + 1)]
     for thread in threads:
         thread.start()
     hub = lab.app.state.hub

@@ -15,8 +15,8 @@ import pytest
 from kleinkram.standalone.__main__ import arguments
 from kleinkram.standalone.address import Listening
 from kleinkram.standalone.plan import UpOptions
-from kleinkram.standalone.ports import choose_port
 from kleinkram.standalone.procs import marked_processes
+from tests.ports import choose_port
 
 FAKE_SERVER = (sys.executable, str(Path(__file__).with_name("fake_server.py")))
 
@@ -110,5 +110,4 @@ def instance(tmp_path: Path) -> Iterator[Instance]:
 
 
 def _make_instance(data_dir: Path) -> Instance:
-    api = choose_port()
-    return Instance(data_dir, Listening(port=api, s3_port=choose_port(besides={api})))
+    return Instance(data_dir, Listening(port=choose_port(), s3_port=choose_port()))

@@ -37,19 +37,26 @@ def _answers(instance: Instance) -> bool:
     return is_ready(instance.told["url"]) and s3.proves_ready(_store_access(instance), store.BUCKET)
 
 
+def _unexpected(said: str) -> str:
+    """Return what a supervisor should not have said: of some stores it says that they take long to begin."""
+    return "".join(
+        line for line in said.splitlines(keepends=True) if "the store listens but takes no bytes" not in line
+    )
+
+
 def _runs_again(instance: Instance, part: str, killed: int) -> bool:
     return instance.told["parts"][part] not in (None, killed)
 
 
 def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> None:
     process = shared_instance.up()
-    assert _answers(shared_instance)
+    wait_until(lambda: _answers(shared_instance))
     token = shared_instance.data_dir / "owner-token"
     assert token.stat().st_mode & 0o777 == 0o600
     assert is_whole(token.read_text().strip())
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (0, "", "")
+    assert (process.returncode, out, _unexpected(err)) == (0, "", "")
     assert shared_instance.processes == []
     assert not (shared_instance.data_dir / "instance.json").exists()
 
@@ -111,13 +118,14 @@ def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Insta
     assert said["data_dir"] == str(shared_instance.data_dir)
     assert said["pid"] == process.pid
     assert tuple(sorted(said["parts"])) == tuple(sorted(PARTS))
-    assert is_ready(said["url"])
+    wait_until(lambda: is_ready(said["url"]))
     assert s3.proves_ready(_store_access(shared_instance), store.BUCKET)
     klein = str(Path(sys.executable).parent / "klein")
     down = [klein, "down", "--data-dir", str(shared_instance.data_dir), "--json"]
     ended = json.loads(subprocess.run(down, check=True, capture_output=True, text=True).stdout)
     assert ended == {name: said[name] for name in ("data_dir", "pid", "parts")}
-    assert process.communicate(timeout=60) == ("", "")
+    out, err = process.communicate(timeout=60)
+    assert (out, _unexpected(err)) == ("", "")
     again = subprocess.run(down, check=False, capture_output=True, text=True)
     assert (again.returncode, again.stdout) == (1, "")
     assert "does not run" in again.stderr
@@ -148,7 +156,7 @@ def test_a_second_up_on_the_same_folder_is_refused(shared_instance: Instance) ->
     first = shared_instance.up()
     said = shared_instance.refused()
     assert f"already runs on {shared_instance.data_dir} (pid {first.pid})" in said
-    assert _answers(shared_instance)
+    wait_until(lambda: _answers(shared_instance))
     stop_instance(DataDir(shared_instance.data_dir))
 
 
@@ -181,7 +189,7 @@ def test_nothing_outlives_a_killed_supervisor_and_the_next_up_recovers(shared_in
     assert survivors < before
     shared_instance.up()
     assert not survivors & set(shared_instance.processes)
-    assert _answers(shared_instance)
+    wait_until(lambda: _answers(shared_instance))
     stop_instance(DataDir(shared_instance.data_dir))
 
 
@@ -217,7 +225,7 @@ def test_a_port_that_is_taken_after_it_was_chosen_is_chosen_again(instance: Inst
         assert process.stdout is not None
         assert "answers at" in process.stdout.readline()
         assert instance.told["ports"]["api"] != chosen
-        assert _answers(instance)
+        wait_until(lambda: _answers(instance))
         process.terminate()
         assert f"another program took port {chosen} (" in process.communicate(timeout=60)[1]
     assert instance.processes == []
@@ -241,7 +249,7 @@ def test_a_chosen_port_that_is_taken_while_its_part_is_down_is_chosen_again(inst
         assert process.stdout is not None
         assert "answers at" in process.stdout.readline()
         assert instance.told["ports"][part] != before
-        assert _answers(instance)
+        wait_until(lambda: _answers(instance))
         process.terminate()
         assert f"another program took port {before} (" in process.communicate(timeout=60)[1]
     assert instance.processes == []
@@ -262,17 +270,18 @@ def test_a_port_that_was_asked_for_and_is_taken_while_its_part_is_down_is_named(
 
 _WAITING = """
 import signal
+import sys
 from kleinkram.standalone import supervisor
 signal.pthread_sigmask(signal.SIG_BLOCK, supervisor._WATCHED)
 print("waiting", flush=True)
-supervisor.pause(0.3)
+supervisor.pause(float(sys.argv[1]))
 print("went on", flush=True)
 supervisor.pause(60)
 """
 
 
-def _waiting(*before: str) -> "subprocess.Popen[str]":
-    command = [*before, sys.executable, "-c", _WAITING]
+def _waiting(*before: str, for_s: float = 0.3) -> "subprocess.Popen[str]":
+    command = [*before, sys.executable, "-c", _WAITING, str(for_s)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "waiting\n"
@@ -295,7 +304,7 @@ def test_a_supervisor_that_is_stopped_until_after_its_time_goes_on() -> None:
 
 def test_a_terminal_that_goes_ends_it_unless_nohup_said_otherwise() -> None:
     for before, ends in (((), True), (("nohup",), False)):
-        process = _waiting(*before)
+        process = _waiting(*before, for_s=60 if ends else 0.3)
         process.send_signal(signal.SIGHUP)
         assert process.stdout is not None
         assert process.stdout.readline() == ("" if ends else "went on\n")

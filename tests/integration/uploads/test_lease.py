@@ -17,7 +17,7 @@ from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, parts_of, send, sign, wait_until
 
 _PART = 8 * 1024 * 1024
-_LEASE_S = 4.0
+_LEASE_S = 8.0
 
 
 class _Listening(Unwatched):
@@ -82,7 +82,7 @@ def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id
         sending = pool.submit(_send, client, mission_id, file, watcher)
         wait_until(lambda: bool(watcher.heard))
         # Leases are told to the second: a renewal within the same one would not be seen.
-        late = "SELECT lease_ends_at - now() < interval '2.5 s' FROM upload WHERE id = %s"
+        late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])
         send(api, alive, theirs)  # asking where to send renews the lease
         result = sending.result(30)

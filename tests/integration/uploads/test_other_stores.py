@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 import urllib3
 
-from kleinkram.standalone import ports
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.middleman import Asked, Reply, standing_before
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, fetch, put, send, sign, upload, wait_until
+from tests.ports import choose_port
 from tests.stack import RunningStore
 
 _PART = 8 * 1024 * 1024
@@ -57,7 +57,7 @@ def _rclone(folder: Path) -> Iterator[dict[str, str]]:
     program = shutil.which("rclone", path=str(Path(sys.executable).parent)) or shutil.which("rclone")
     assert program, "rclone belongs to the pinned requirements"
     (folder / "lab").mkdir()
-    address = f"127.0.0.1:{ports.choose_port()}"
+    address = f"127.0.0.1:{choose_port()}"
     command = [program, "serve", "s3", str(folder), "--addr", address, "--auth-key", "key,secret", "--config", ""]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
