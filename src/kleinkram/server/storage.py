@@ -6,7 +6,7 @@ called inside a database transaction. Keys are opaque, and an object is never wr
 
 import base64
 import hashlib
-from collections.abc import AsyncGenerator, AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Iterable, Mapping
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, replace
 from xml.sax.saxutils import escape
@@ -186,15 +186,17 @@ class Storage:
         parts = await self._raw_parts(key, multipart_id)
         if parts is None:
             raise StoreMissing(multipart_id)
-        # A part sent twice may be listed twice; and while another call joins them, a list may be of what is left.
-        listed = len({part["PartNumber"] for part in parts})
-        if listed != count:
-            raise StoreRefused(f"the store lists {listed} of {count} parts")
+        # A part sent twice may be listed twice. To be asked for it twice, too, had SeaweedFS 4.48 join one of them and
+        # drop the bytes of both.
+        each = {part["PartNumber"]: part for part in parts}
+        # While another call joins them, a list may be of what is left.
+        if len(each) != count:
+            raise StoreRefused(f"the store lists {len(each)} of {count} parts")
         headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
             checksum = base64.b64encode(crc64nvme).decode()
             headers = {CHECKSUM_HEADERS[ChecksumKind.crc64nvme]: checksum, "x-amz-checksum-type": "FULL_OBJECT"}
-        body = _part_list(parts, with_sha256=self.checksum is ChecksumKind.sha256)
+        body = _part_list(each.values(), with_sha256=self.checksum is ChecksumKind.sha256)
         question = Question("POST", key, {"uploadId": multipart_id}, headers, body)
         await self._ask("complete a multipart upload", question)
 
@@ -361,8 +363,8 @@ class Storage:
             raise StoreUnavailable(reason=f"{what}: {why(error)}") from error
 
 
-def _part_list(parts: list[dict[str, str]], *, with_sha256: bool) -> bytes:
-    """What a store is sent to join parts."""
+def _part_list(parts: Iterable[dict[str, str]], *, with_sha256: bool) -> bytes:
+    """What a store is sent to join parts, each of which is named once."""
     # Some stores verify a part's SHA-256 and do not list it; those that list it want it back.
     names = ["PartNumber", "ETag", *(["ChecksumSHA256"] if with_sha256 else [])]
     listing = ("".join(f"<{name}>{escape(part[name])}</{name}>" for name in names if name in part) for part in parts)
