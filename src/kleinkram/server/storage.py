@@ -186,12 +186,13 @@ class Storage:
         parts = await self._raw_parts(key, multipart_id)
         if parts is None:
             raise StoreMissing(multipart_id)
-        # A part sent twice may be listed twice. To be asked for it twice, too, had SeaweedFS 4.48 join one of them and
-        # drop the bytes of both.
-        each = {part["PartNumber"]: part for part in parts}
-        # While another call joins them, a list may be of what is left.
-        if len(each) != count:
-            raise StoreRefused(f"the store lists {len(each)} of {count} parts")
+        # A part sent twice may be listed twice; and while another call joins them, a list may be of what is left.
+        listed = len({part["PartNumber"] for part in parts})
+        if listed != count:
+            raise StoreRefused(f"the store lists {listed} of {count} parts")
+        # Of different bytes the store takes the last. The same are named once: SeaweedFS 4.48, asked for both, joins one
+        # and drops the bytes of both.
+        each = {(part["PartNumber"], part["ETag"]): part for part in parts}
         headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
             checksum = base64.b64encode(crc64nvme).decode()
@@ -364,7 +365,7 @@ class Storage:
 
 
 def _part_list(parts: Iterable[dict[str, str]], *, with_sha256: bool) -> bytes:
-    """What a store is sent to join parts, each of which is named once."""
+    """What a store is sent to join parts."""
     # Some stores verify a part's SHA-256 and do not list it; those that list it want it back.
     names = ["PartNumber", "ETag", *(["ChecksumSHA256"] if with_sha256 else [])]
     listing = ("".join(f"<{name}>{escape(part[name])}</{name}>" for name in names if name in part) for part in parts)
