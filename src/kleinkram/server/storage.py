@@ -190,8 +190,8 @@ class Storage:
         listed = len({part["PartNumber"] for part in parts})
         if listed != count:
             raise StoreRefused(f"the store lists {listed} of {count} parts")
-        # Of different bytes the store takes the last. The same are named once: SeaweedFS 4.48, asked for both, joins one
-        # and drops the bytes of both.
+        # Of different bytes the store takes the last. The same are named once: SeaweedFS 4.48, asked for both, joins
+        # one and drops the bytes of both.
         each = {(part["PartNumber"], part["ETag"]): part for part in parts}
         headers = {}
         if self.checksum is ChecksumKind.crc64nvme:
