@@ -53,7 +53,7 @@ def test_a_program_that_follows_goes_on_after_a_restart(
         wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
         port = urlsplit(api.url).port or 0
         stopped_at = time.monotonic()
-    assert time.monotonic() - stopped_at < 15, "open streams hold up the end of the server"
+    assert time.monotonic() - stopped_at < 8, "open streams hold up the end of the server"
     with serving(settings, admin_url=admin_url, folder=tmp_path, port=port) as again:
         wait_until(lambda: Refetch(reason=RefetchReason.missed) in heard)
         last["id"] = again.mission(project["id"])["id"]

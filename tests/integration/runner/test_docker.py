@@ -230,14 +230,14 @@ def test_a_warden_is_killed_and_nothing_is_lost_or_said_twice(bench: Bench) -> N
 
 
 def test_a_runs_time_is_counted_while_nobody_watches(bench: Bench) -> None:
-    work = bench.work(COUNTS, time_s=2)
+    work = bench.work(COUNTS, time_s=6)
     bench.executor.start(work)
     until_said(bench, COUNTS, "line 1\n")
     kill_warden(work)
-    time.sleep(2)
+    time.sleep(6)
     began = time.monotonic()
     assert bench.end_of(work).reason is EndReason.time
-    assert time.monotonic() - began < 20, "not counted anew, nor to its end"
+    assert time.monotonic() - began < 5, "counted anew"
 
 
 def test_doors_are_made_again_by_the_next_warden(bench: Bench) -> None:

@@ -204,7 +204,7 @@ def test_a_run_is_cancelled_while_it_runs(server: FakeServer, runners: Runners) 
     run = server.launch(LASTING)
     until_running(runners, run)
     run.is_cancelled = True
-    finish = ended(run).finishes[0]
+    finish = ended(run, timeout_s=15).finishes[0]
     assert finish.reason is EndReason.cancelled
     assert run.artifacts == {LOG_PATH: b"began\n"}
 
@@ -227,7 +227,7 @@ def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
     wait_until(lambda: server.requests["/uploads/parts"])
     run.is_cancelled = True
-    finish = ended(run).finishes[0]
+    finish = ended(run, timeout_s=15).finishes[0]
     assert finish.reason is EndReason.cancelled
     assert "none of them are kept" in finish.problems[0]
     assert run.artifacts == {}

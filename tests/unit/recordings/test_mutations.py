@@ -26,7 +26,7 @@ def mutated(data: bytes, edits: list[tuple[float, bytes]], keep: float) -> bytes
 
 
 @given(st.sampled_from(MCAPS), EDITS, st.one_of(st.just(1.0), st.floats(0, 1)))
-@settings(max_examples=400, deadline=20_000)
+@settings(max_examples=400, deadline=10_000)
 def test_mutated_mcap(data: bytes, edits: list[tuple[float, bytes]], keep: float) -> None:
     summary = summarise(MemorySource(mutated(data, edits, keep)))
     assert summary.content in SOUND
@@ -35,7 +35,7 @@ def test_mutated_mcap(data: bytes, edits: list[tuple[float, bytes]], keep: float
 
 
 @given(EDITS, st.one_of(st.just(1.0), st.floats(0, 1)))
-@settings(max_examples=400, deadline=20_000)
+@settings(max_examples=400, deadline=10_000)
 def test_mutated_bag(edits: list[tuple[float, bytes]], keep: float) -> None:
     summary = summarise(MemorySource(mutated(BAG, edits, keep), "test.bag"))
     assert summary.content in SOUND

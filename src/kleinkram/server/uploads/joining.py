@@ -34,12 +34,13 @@ async def join_at_store(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
 
 
 async def held_whole(storage: Storage, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[HeldPart]]:
-    """Return what the store holds of files of one part: all of a file, as that part, or nothing."""
+    """Return what the store holds of those that are files of one part: all of a file, as that part, or nothing."""
     held: dict[str, HeldPart] = {}
-    for prefix, group in _by_prefix(rows).items():
+    signed = [row for row in rows if not is_multipart(row) and row.signed_checksum is not None]
+    for prefix, group in _by_prefix(signed).items():
         for asked in [prefix] if len(group) >= _LISTING_WORTH else [row.key for row in group]:
             held |= await storage.held_objects(asked)
-    return {row.id: [part] for row in rows if (part := held.get(row.key)) and part.size_bytes == row.size_bytes}
+    return {row.id: [part] for row in signed if (part := held.get(row.key)) and part.size_bytes == row.size_bytes}
 
 
 def _by_prefix(rows: Sequence[Row[Any]]) -> dict[str, list[Row[Any]]]:

@@ -87,8 +87,7 @@ async def begin_uploads(
         resumed = {decision.ref for decision in decisions if decision.way is Way.resume and decision.ref}
         parts = await open_at_store(site, multipart, resumed=resumed) if multipart else {}
         # So much may be sent and not yet completed that to send it again would take long.
-        sent = [rows[each] for each in resumed if not is_multipart(rows[each]) and rows[each].signed_checksum]
-        parts |= await held_whole(site.storage, sent)
+        parts |= await held_whole(site.storage, [rows[each] for each in resumed])
     except StoreUnavailable:
         await let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
@@ -311,7 +310,7 @@ async def get_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> Uploa
     if row.state == UploadState.open.value:
         if row.multipart_id is not None:
             held = await site.storage.held_parts(row.key, row.multipart_id)
-        elif row.signed_checksum is not None:
+        else:
             held = (await held_whole(site.storage, [row])).get(row.id)
     return read_upload(row, held or [])
 
