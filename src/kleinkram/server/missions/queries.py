@@ -3,6 +3,7 @@
 import functools
 import uuid
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import (
@@ -141,15 +142,10 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
 
 
 @functools.lru_cache(maxsize=KEPT)
-def count_all(asker: Actor) -> Select[Any]:
-    """Return the number of all visible missions."""
-    return add_up_missions(asker, func.count())
-
-
-@functools.lru_cache(maxsize=KEPT)
 def listed(asked: Asked[MissionFilter], sort: MissionSort, page: PageRequest) -> Listed:
     """Return the list of the visible missions that match, as `to_missions` reads them, for all pages `alike`."""
-    return list_matching(asked.actor, asked.matching, None, sort, page)
+    counted = narrow_missions(asked.actor, add_up_missions(asked.actor, func.count()), asked.matching)
+    return replace(list_matching(asked.actor, asked.matching, None, sort, page), counted=counted)
 
 
 def list_matching(

@@ -7,7 +7,6 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 import asyncio
 import uuid
 from collections.abc import Collection
-from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row, Update, func, insert
@@ -116,11 +115,6 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    if page.count and found is None and matching == MissionFilter():
-        total = int((await db.execute(queries.count_all(whoever(actor)), asking(actor))).scalar_one())
-        page = replace(page, count=False)
-        listed = await list_missions(db, actor, matching=matching, sort=sort, page=page)
-        return listed.model_copy(update={"total": total})
     if found is None:
         wanted = queries.listed(asked_alike(actor, matching), sort, page.alike)
         rows = await fetch_listed(db, wanted, page, values(actor, matching))

@@ -1,0 +1,158 @@
+"""Parts sent twice, late, at once or with other bytes before, joined by several at once: the file is there.
+
+What the store is asked to drop can be read until it has cleared up its volumes, so this is looked at after that.
+"""
+
+import filecmp
+import itertools
+import json
+import os
+import random
+import subprocess
+import time
+import uuid
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import urllib3
+
+from kleinkram.client import Client, connect
+from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
+from kleinkram.standalone.binaries import locate_weed
+from tests.integration.uploading import checksum, crc64, sha256
+from tests.system.house import House
+
+# What SeaweedFS is to drop, it marks within a second or so; the bytes can be read until their volume is cleared up.
+_MARKED_S = 3
+_AT_ONCE = 3
+_STORE = urllib3.PoolManager(retries=False, timeout=60, maxsize=_AT_ONCE)
+
+# The number of a part that is sent, and whether its bytes are those of the file.
+Sent = tuple[int, bool]
+
+
+@dataclass(frozen=True)
+class History:
+    """What happens to the parts of one upload, round by round; the sends of one round overlap."""
+
+    rounds: tuple[tuple[Sent, ...], ...]
+    is_joined_early: bool  # somebody asks for the end of it after the first round, when parts are missing
+    callers: int  # who ask for the end of it at the same moment
+    tail_bytes: int = 1000  # of the last part
+
+    @property
+    def parts(self) -> set[int]:
+        """Their numbers, counted from 1."""
+        return {number for number, _ in itertools.chain(*self.rounds)}
+
+
+_OTHER_BYTES_FIRST_THEN_TWICE = History(
+    rounds=(((1, False), (2, False), (3, False)), *[((1, True), (2, True), (3, True))] * 2),
+    is_joined_early=False,
+    callers=1,
+)
+_JOINED_BY_TWO = History(rounds=(((1, True), (1, True)), ((2, True), (2, True))), is_joined_early=True, callers=2)
+
+
+def _draw(chance: random.Random) -> History:
+    """Draw a history in which the last bytes of each part are the right ones."""
+    numbers = [number for number in range(1, chance.randint(2, 3) + 1) for _ in range(chance.randint(1, 3))]
+    chance.shuffle(numbers)
+    left = {number: numbers.count(number) for number in numbers}
+    rounds: list[list[Sent]] = []
+    for number in numbers:
+        left[number] -= 1
+        sent = (number, left[number] == 0 or chance.random() < 0.6)
+        # Overlapping sends of one part are of the same bytes: else nobody could say which of them is the last.
+        fits = rounds and len(rounds[-1]) < _AT_ONCE and (number, not sent[1]) not in rounds[-1]
+        if fits and chance.random() < 0.5:
+            rounds[-1].append(sent)
+        else:
+            rounds.append([sent])
+    is_missing = len({number for number, _ in rounds[0]}) < len(left)
+    is_joined_early = is_missing and chance.random() < 0.3
+    tail_bytes = chance.randint(1, MIN_PART_BYTES)
+    return History(tuple(map(tuple, rounds)), is_joined_early, callers=chance.randint(1, 3), tail_bytes=tail_bytes)
+
+
+def _live(client: Client, mission_id: uuid.UUID, history: History, file: Path) -> None:
+    """Send a file of random bytes by that history, and leave it at `file` to be compared."""
+    body = os.urandom((len(history.parts) - 1) * MIN_PART_BYTES + history.tail_bytes)
+    file.write_bytes(body)
+    announced = UploadFile(path=file.name, size_bytes=len(body), sha256=sha256(body), crc64nvme=crc64(body))
+    (decision,) = client.uploads.begin(mission_id, [announced]).items
+    assert isinstance(decision, Send)
+    upload = decision.upload
+    finish = UploadFinish(upload_id=upload.id, sha256=sha256(body), crc64nvme=crc64(body))
+    with ThreadPoolExecutor(_AT_ONCE) as together:
+        for count, sends in enumerate(history.rounds):
+            if count == 1 and history.is_joined_early:
+                assert _outcomes(together, client, finish, callers=1) == {"refused"}
+            for status in [each.result() for each in [together.submit(_send, client, upload, body, s) for s in sends]]:
+                assert status == 200
+        assert _outcomes(together, client, finish, callers=history.callers) == {"completed"}
+
+
+def _send(client: Client, upload: UploadRead, body: bytes, sent: Sent) -> int:
+    number, is_right = sent
+    start = (number - 1) * upload.part_size_bytes
+    piece = body[start : start + upload.part_size_bytes]
+    piece = piece if is_right else os.urandom(len(piece))
+    part = PartToSign(upload_id=upload.id, number=number, checksum=checksum(upload.checksum.value, piece))
+    (signed,) = client.uploads.sign([part]).items
+    return _STORE.request("PUT", signed.url, body=piece, headers=signed.headers).status
+
+
+def _outcomes(together: ThreadPoolExecutor, client: Client, finish: UploadFinish, *, callers: int) -> set[str]:
+    asked = [together.submit(client.uploads.complete, [finish]) for _ in range(callers)]
+    return {each.outcome for answer in asked for each in answer.result().items}
+
+
+def _clear_up(house: House) -> None:
+    """Have the store give back the room of all that it has marked, which it does by itself where that is a third."""
+    ports = json.loads((house.data_dir / "ports.json").read_text())
+    shell = [str(locate_weed()), "shell", "-master", f"127.0.0.1:{ports['master']}.{ports['master_grpc']}"]
+    text = "lock\nvolume.vacuum -garbageThreshold 0.00001\nunlock\n"
+    said = subprocess.run(shell, input=text, capture_output=True, text=True, timeout=60, check=False)
+    assert said.returncode == 0, said.stderr
+
+
+def _live_all(house: House, folder: Path, histories: Sequence[History], mission: str) -> None:
+    """Live them in one mission, have the store clear up, and fetch everything back."""
+    terminal = house.terminal
+    mission_id = terminal.run("mission", "create", mission, "-p", "p", "--json").json()["id"]
+    token = (house.data_dir / "owner-token").read_text().strip()
+    sent = folder / mission
+    sent.mkdir()
+    names = {f"{number:03}.bin": history for number, history in enumerate(histories)}
+    with connect(house.told()["url"], token) as client:
+        for name, history in names.items():
+            _live(client, uuid.UUID(mission_id), history, sent / name)
+    time.sleep(_MARKED_S)
+    _clear_up(house)
+    back = folder / f"{mission}-back"
+    terminal.run("download", "-p", "p", "-m", mission, "--dest", back)
+    for name, history in names.items():
+        assert filecmp.cmp(sent / name, back / name, shallow=False), history
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(280)
+def test_parts_of_every_history_are_there_once_the_store_has_cleared_up(house: House, tmp_path: Path) -> None:
+    house.start()
+    house.terminal.run("project", "create", "p")
+    chance = random.Random(1)
+    drawn = [_draw(chance) for _ in range(6)]
+    _live_all(house, tmp_path, [_OTHER_BYTES_FIRST_THEN_TWICE, _JOINED_BY_TWO, *drawn], "m")
+
+
+@pytest.mark.soak
+def test_parts_of_very_many_histories(house: House, tmp_path: Path) -> None:
+    house.start()
+    house.terminal.run("project", "create", "p")
+    for seed in range(1, int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "20")) + 1):
+        chance = random.Random(seed)
+        _live_all(house, tmp_path, [_draw(chance) for _ in range(20)], f"m{seed}")
