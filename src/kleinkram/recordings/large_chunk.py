@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from kleinkram.recordings.decompress import open_decompressed
+from kleinkram.recordings.decompress import ReadUpTo, open_decompressed
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.stream import Decompressed, Lookahead, Undecompressed
@@ -18,8 +18,21 @@ from kleinkram.recordings.stream import Decompressed, Lookahead, Undecompressed
 _FLUSH_BYTES = 64 * 2**20
 
 
+def pieces_of(stored: memoryview) -> ReadUpTo:
+    """Return what gives stored data that are at hand, a piece at a time."""
+    at = 0
+
+    def take(most: int) -> bytes:
+        nonlocal at
+        piece = bytes(stored[at : at + most])
+        at += len(piece)
+        return piece
+
+    return take
+
+
 class LargeChunk:
-    """The content of a chunk whose stored data begin at the next byte of `outer`.
+    """The content of a chunk whose stored data are what `take` gives next.
 
     Attributes:
         inner: the content.
@@ -30,13 +43,13 @@ class LargeChunk:
     """
 
     def __init__(
-        self, outer: Lookahead, compression: str, *, stored: int, uncompressed: int, with_crc: bool = True
+        self, take: ReadUpTo, compression: str, *, stored: int, uncompressed: int, with_crc: bool = True
     ) -> None:
         left = stored
 
         def read(most: int) -> bytes:
             nonlocal left
-            piece = outer.read_up_to(min(most, left))
+            piece = take(min(most, left))
             left -= len(piece)
             return piece
 

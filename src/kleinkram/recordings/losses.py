@@ -42,11 +42,17 @@ class Losses:
         Raises:
             Malformed: with it, the file would unpack to more than any recording does.
         """
-        most = FREE_UNPACKED + MAX_EXPANSION * end
-        if self.unpacked_bytes + uncompressed > most:
+        if not self.may_unpack(uncompressed, end=end):
+            most = _most_unpacked(end)
             message = f"it is left packed: with its {uncompressed} bytes, the file would unpack to more than {most}"
             raise Malformed("chunk", message, certain=False)
+
+    def may_unpack(self, uncompressed: int, *, end: int) -> bool:
+        """Count it as `unpack` does, or say that it is too much, and that it does not count."""
+        if self.unpacked_bytes + uncompressed > _most_unpacked(end):
+            return False
         self.unpacked_bytes += uncompressed
+        return True
 
     def is_patience_spent(self, position: int) -> bool:
         """Say whether so much was read in vain, up to a place in the file, that no honest damage explains it.
@@ -79,6 +85,10 @@ class Losses:
         if claimed is not None and claimed >= found:
             messages = claimed - found
         return Lost(self.bytes, self.chunks, messages)
+
+
+def _most_unpacked(end: int) -> int:
+    return FREE_UNPACKED + MAX_EXPANSION * end
 
 
 def _alone(fault: Malformed) -> Malformed:

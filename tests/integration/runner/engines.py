@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kleinkram.runner.docker.engine import Engine, EngineAway
+from kleinkram.runner.docker.gate import SHELL
 from tests.lacking import path_of
 
 IMAGE = "kleinkram.test/python"
@@ -158,15 +159,17 @@ class Dockerd:
 
 
 @functools.cache
-def python_root() -> bytes:
-    """Return a tar of a root with this Python and its libraries, and nothing else but the folders of runs."""
+def python_root(*, with_shell: bool = True) -> bytes:
+    """Return a tar of a root with this Python and a shell, and nothing else but libraries and the folders of runs."""
+    shell = [Path(SHELL)] if with_shell else []
     libraries = Path(sysconfig.get_path("stdlib"))
     program = Path(sys.executable).resolve()
-    needed = [program, *(libraries / "lib-dynload").glob("*.so")]
+    needed = [program, *(libraries / "lib-dynload").glob("*.so"), *shell]
     with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
         for each in sorted({path for file in needed for path in _libraries_of(file)}):
             tar.add(Path(each).resolve(), each, recursive=False)
-        tar.add(program, program)
+        for file in (program, *shell):
+            tar.add(file.resolve(), file)
         tar.add(libraries, libraries, filter=_kept)
         _link(tar, "/usr/bin/python3", str(program))
         for folder in ("in", "out", "tmp", "etc"):

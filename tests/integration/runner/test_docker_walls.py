@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import json
 import resource
+import stat
 from pathlib import Path
 
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker import cgroups, first
-from kleinkram.runner.docker.container import describe
+from kleinkram.runner.docker import cgroups, first, gate
+from kleinkram.runner.docker.container import describe, gated
+from kleinkram.runner.docker.engine import Image
 from kleinkram.runner.docker.images import credentials_for, is_allowed, read_name
 from kleinkram.runner.docker.log import Piece
 from kleinkram.runner.work import Door, Work
@@ -59,6 +61,10 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
     [
         ("[FATAL tini (7)] exec /usr/bin/odd failed: No such file or directory\n", "/usr/bin/odd: No such file"),
         ("ERROR (catatonit:2): failed to exec pid1: Permission denied\n", "/usr/bin/odd: Permission denied"),
+        ("kleinkram: 1: exec: /usr/bin/odd: not found\n", "/usr/bin/odd: not found"),
+        ("kleinkram: line 1: /usr/bin/odd: Is a directory\n", "/usr/bin/odd: Is a directory"),
+        ("kleinkram: exec: line 0: /usr/bin/odd: Permission denied\n", "/usr/bin/odd: Permission denied"),
+        ("kleinkram: 3 of 5 chunks: odd\n", None),
         ("Traceback (most recent call last):\n", None),
         ("", None),
     ],
@@ -67,6 +73,30 @@ def test_what_first_processes_say_of_a_command_that_is_not_there(said: str, told
     written = [[Piece(2, said[:9].encode()), Piece(2, said[9:].encode())]]
     found = first.no_command(written, ["/usr/bin/odd", "-v"])
     assert found is None if told is None else str(found).startswith(told)
+
+
+@pytest.mark.parametrize(
+    ("image", "command", "runs"),
+    [
+        ([["ros"], ["slam"]], [], ["ros", "slam"]),
+        ([["ros"], ["slam"]], ["ls", "/in"], ["ros", "ls", "/in"]),
+        ([[], ["slam"]], [], ["slam"]),
+        ([[], []], [], None),
+    ],
+)
+def test_behind_a_gate_the_same_is_run(
+    tmp_path: Path, image: list[list[str]], command: list[str], runs: list[str] | None
+) -> None:
+    work = Work(**{**vars(work_of(tmp_path, Network.api)), "command": command})
+    plain = describe(work, "1000:1000", [], "desk")
+    made = json.loads(json.dumps(gated(plain, work, Image("1", (), "amd64", (), *map(tuple, image)))))
+    if runs is None:
+        assert made == json.loads(json.dumps(plain))
+        return
+    assert (made["Entrypoint"][0], made["Cmd"]) == (gate.SHELL, runs)
+    added = made["HostConfig"].pop("Mounts")[-1]
+    assert (added["Source"], added["ReadOnly"]) == (str(tmp_path / gate.PIPE), True)
+    assert stat.S_ISFIFO((tmp_path / gate.PIPE).stat().st_mode)
 
 
 def test_volumes_of_an_image_are_counted_with_tmp(tmp_path: Path) -> None:

@@ -5,22 +5,22 @@ from __future__ import annotations
 from kleinkram.recordings.bag import contents, records
 from kleinkram.recordings.bag.contents import BagFacts, Record, parse_record, walk
 from kleinkram.recordings.bag.walking import learn_layout
+from kleinkram.recordings.decompress import ReadUpTo
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.limits import MAX_TAKE
 from kleinkram.recordings.listening import Place
-from kleinkram.recordings.stream import Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
 
 class _Reading:
-    def __init__(self, stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place) -> None:
+    def __init__(self, take: ReadUpTo, record: Record, facts: BagFacts, tally: Tally, place: Place) -> None:
         self._place, self._stored = place, record.data_bytes
         self._kept_facts, self._kept_tally = facts, tally
         self._facts, self._tally = facts.fork(), tally.fork()
         self._batch = Batch(self._facts.connections)
         compression, size = record.fields.text("compression"), place.uncompressed
-        self.chunk = LargeChunk(stream, compression, stored=self._stored, uncompressed=size, with_crc=False)
+        self.chunk = LargeChunk(take, compression, stored=self._stored, uncompressed=size, with_crc=False)
 
     def read(self) -> Malformed | None:
         """Follow the records; return why that ended."""
@@ -74,26 +74,25 @@ class _Reading:
             contents.add_message(record, self._batch)
 
 
-def read_large_chunk(
-    stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place
-) -> Malformed | None:
-    """Add the messages of a chunk, from where its data begin; return why not all of it could be followed.
+def read_large_chunk(take: ReadUpTo, record: Record, facts: BagFacts, tally: Tally, place: Place) -> Malformed | None:
+    """Add the messages of a chunk whose data `take` gives; return why not all of it could be followed.
 
     `place`: of the chunk, for the listener.
 
     Raises:
         Malformed: its data are damaged, so that nothing of it can be believed; nothing was added.
     """
-    return read_whole(_Reading(stream, record, facts, tally, place))
+    return read_whole(_Reading(take, record, facts, tally, place))
 
 
-def read_large_beginning(stream: Lookahead, record: Record, facts: BagFacts, tally: Tally, place: Place) -> int:
-    """Add the messages of a chunk that ends with the file, from where its data begin; return how many of its stored
-    bytes they stand in.
+def read_large_beginning(
+    take: ReadUpTo, stored: int, record: Record, facts: BagFacts, tally: Tally, place: Place
+) -> int:
+    """Add the messages of a chunk whose end is missing, so that `take` gives less of its data; return how many of those
+    `stored` bytes they stand in.
     """
-    stored = stream.left
     try:
-        reading = _Reading(stream, record, facts, tally, place)
+        reading = _Reading(take, record, facts, tally, place)
     except Malformed:
         return 0
     return read_cut(reading, stored)

@@ -14,9 +14,10 @@ from kleinkram.recordings.bag import contents, records
 from kleinkram.recordings.bag.claims import Claims
 from kleinkram.recordings.bag.contents import BagFacts, BagListener, Record, find_record, parse_record, read_contents
 from kleinkram.recordings.bag.large_chunks import read_large_beginning, read_large_chunk
-from kleinkram.recordings.decompress import decompress, decompress_beginning, without_zero_tail
+from kleinkram.recordings.decompress import ReadUpTo, decompress, decompress_beginning, without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
@@ -178,28 +179,22 @@ class _Scanner:
 
     def _pass_chunk(self, record: Record) -> None:
         stream, scan = self._stream, self.scan
-        start, total = stream.position, record.end - record.start
-        head_bytes = record.data_start - record.start
+        start, total, head_bytes = stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         scan.compression.add(compression)
         before, damaged = scan.tally.messages, len(scan.losses.damage)
         try:
             if compression != "none":
                 scan.losses.unpack(uncompressed, end=start + total)
-            if max(total, uncompressed) > MAX_AT_ONCE:
+            if total > MAX_AT_ONCE:
                 stream.advance(head_bytes)
-                fault = read_large_chunk(stream, record, scan.facts, scan.tally, Place(CUT, start, total, uncompressed))
-                if fault is not None:
-                    scan.losses.note(Malformed(f"chunk at byte {start}", fault.message))
+                self._read_large_chunk(stream.read_up_to, record, Place(CUT, start, total, uncompressed))
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
                 self._doubt(total, compression)
                 stored = stream.window[stream.at + head_bytes : stream.at + total]
-                raw = decompress(compression, stored, uncompressed)
-                place = Place(CHUNK, start, total, uncompressed)
-                end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
-                stream.advance(total if end == len(raw) else head_bytes + end)
+                stream.advance(self._read_chunk(record, stored))
         except Malformed as error:
             self._leave_chunk(start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
             return
@@ -207,6 +202,23 @@ class _Scanner:
         scan.losses.chunks += partly
         scan.chunks += not partly
         self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
+
+    def _read_chunk(self, record: Record, stored: memoryview) -> int:
+        """Add the messages of a chunk whose data are at hand; return how many bytes of the file it takes."""
+        start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
+        compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+        if uncompressed > MAX_AT_ONCE:
+            self._read_large_chunk(pieces_of(stored), record, Place(CUT, start, total, uncompressed))
+            return total
+        raw = decompress(compression, stored, uncompressed)
+        place = Place(CHUNK, start, total, uncompressed)
+        end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
+        return total if end == len(raw) else head_bytes + end
+
+    def _read_large_chunk(self, take: ReadUpTo, record: Record, place: Place) -> None:
+        fault = read_large_chunk(take, record, self.scan.facts, self.scan.tally, place)
+        if fault is not None:
+            self.scan.losses.note(Malformed(f"chunk at byte {place.start}", fault.message))
 
     def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> int:
         """Add the messages of a chunk; return where in `raw` it ends."""
@@ -273,17 +285,15 @@ class _Scanner:
         self._end_chunk()
         scan.compression.add(compression)
         scan.losses.chunks += 1
-        left, before, head_bytes = stream.left, scan.tally.messages, record.data_start - record.start
-        if max(left, uncompressed) <= MAX_AT_ONCE:
+        left, head_bytes = stream.left, record.data_start - record.start
+        if left <= MAX_AT_ONCE:
             stream.ahead(left)
             stored = bytes(stream.window[stream.at + head_bytes :])
             used = self._save_beginning(without_zero_tail(compression, stored) or stored, record)
         else:
             place = Place(CUT, stream.position, left, uncompressed)
             stream.advance(head_bytes)
-            used = read_large_beginning(stream, record, scan.facts, scan.tally, place)
-            used += head_bytes if used else 0
-            scan.losses.unproven += scan.tally.messages - before
+            used = self._save_large_beginning(stream.read_up_to, stream.left, record, place)
         scan.losses.note(cut)
         scan.losses.bytes += left - used
         scan.losses.messages_are_known = False
@@ -293,9 +303,10 @@ class _Scanner:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
         scan, head_bytes = self.scan, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
-        try:
-            scan.losses.unpack(min(uncompressed, MAX_AT_ONCE), end=self._stream.size_bytes)
-        except Malformed:
+        if uncompressed > MAX_AT_ONCE:
+            place = Place(CUT, self._stream.position, head_bytes + len(stored), uncompressed)
+            return self._save_large_beginning(pieces_of(memoryview(stored)), len(stored), record, place)
+        if not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
             return 0
         raw = decompress_beginning(compression, stored, uncompressed)
         batch = Batch(scan.facts.connections)
@@ -305,6 +316,14 @@ class _Scanner:
         scan.losses.unproven += scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
         followed = len(raw) - sum(hole.end - hole.start for hole in holes)
         return head_bytes + len(stored) * followed // len(raw) if followed else 0
+
+    def _save_large_beginning(self, take: ReadUpTo, stored: int, record: Record, place: Place) -> int:
+        scan, before = self.scan, self.scan.tally.messages
+        if not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
+            return 0
+        used = read_large_beginning(take, stored, record, scan.facts, scan.tally, place)
+        scan.losses.unproven += scan.tally.messages - before
+        return record.data_start - record.start + used if used else 0
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
         """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""

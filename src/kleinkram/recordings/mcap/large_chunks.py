@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from kleinkram.recordings.decompress import ReadUpTo
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.listening import Place
@@ -9,17 +10,16 @@ from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.chunks import ChunkHead, read_definition, read_large_message, tell
 from kleinkram.recordings.mcap.records import RECORD_HEAD, McapFacts
 from kleinkram.recordings.mcap.walking import walk_messages
-from kleinkram.recordings.stream import Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
 
 class _Reading:
-    def __init__(self, stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
+    def __init__(self, take: ReadUpTo, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
         self._head, self._place = head, place
         self._kept_facts, self._kept_tally = facts, tally
         self._facts, self._tally = facts.fork(), tally.fork()
         self._batch = Batch(self._facts.channels)
-        self.chunk = LargeChunk(stream, head.compression, stored=head.stored, uncompressed=head.uncompressed)
+        self.chunk = LargeChunk(take, head.compression, stored=head.stored, uncompressed=head.uncompressed)
 
     def read(self) -> Malformed | None:
         """Follow the records; return why that ended."""
@@ -71,26 +71,25 @@ class _Reading:
         inner.advance(RECORD_HEAD.size + length)
 
 
-def read_large_chunk(
-    stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place
-) -> Malformed | None:
-    """Add the messages of a chunk, from where its data begin; return why not all of it could be followed.
+def read_large_chunk(take: ReadUpTo, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> Malformed | None:
+    """Add the messages of a chunk whose data `take` gives; return why not all of it could be followed.
 
     `place`: of the chunk, for the listener.
 
     Raises:
         Malformed: nothing of it can be believed; nothing was added.
     """
-    return read_whole(_Reading(stream, head, facts, tally, place))
+    return read_whole(_Reading(take, head, facts, tally, place))
 
 
-def read_large_beginning(stream: Lookahead, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> int:
-    """Add the messages of a chunk that ends with the file, from where its data begin; return how many of its stored
-    bytes they stand in.
+def read_large_beginning(
+    take: ReadUpTo, stored: int, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place
+) -> int:
+    """Add the messages of a chunk whose end is missing, so that `take` gives less of its data; return how many of those
+    `stored` bytes they stand in.
     """
-    stored = stream.left
     try:
-        reading = _Reading(stream, head, facts, tally, place)
+        reading = _Reading(take, head, facts, tally, place)
     except Malformed:
         return 0
     return read_cut(reading, stored)

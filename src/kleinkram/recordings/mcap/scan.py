@@ -11,9 +11,10 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.decompress import without_zero_tail
+from kleinkram.recordings.decompress import ReadUpTo, without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
@@ -194,21 +195,23 @@ class _Scanner:
             Malformed: nothing in it can be believed, and nothing was counted.
         """
         stream, scan = self._stream, self.scan
-        is_large = max(total, head.uncompressed) > MAX_AT_ONCE
         stream.ahead(total + LOOK)
-        if not is_large and scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
+        is_held = total <= MAX_AT_ONCE
+        if is_held and scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
             raise Malformed("chunk", "nothing stands behind it")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
-        if is_large:
+        stored = stream.window[stream.at + head.data_start : stream.at + total]
+        if not is_held or head.uncompressed > MAX_AT_ONCE:
             end = stream.position + total
             place = Place(CUT, stream.position, total, head.uncompressed)
-            stream.advance(head.data_start)
-            fault = read_large_chunk(stream, head, scan.facts, scan.tally, place)
+            if not is_held:
+                stream.advance(head.data_start)
+            take = pieces_of(stored) if is_held else stream.read_up_to
+            fault = read_large_chunk(take, head, scan.facts, scan.tally, place)
             stream.advance(end - stream.position)
             return fault
         batch = Batch(scan.facts.channels)
-        stored = stream.window[stream.at + head.data_start : stream.at + total]
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         stretches = ((0, contents.walked),) if contents.fault else None
         self._count(batch, head, Place(CHUNK, stream.position, total, head.uncompressed, stretches))
@@ -259,30 +262,37 @@ class _Scanner:
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
         scan.losses.chunks += 1
-        left, before = stream.left, scan.tally.messages
-        if max(left, head.uncompressed) <= MAX_AT_ONCE:
+        left = stream.left
+        if left <= MAX_AT_ONCE:
             stream.ahead(left)
             stored = bytes(stream.window[stream.at + head.data_start :])
             used = self._save_beginning(without_zero_tail(head.compression, stored) or stored, head)
         else:
             place = Place(CUT, stream.position, left, head.uncompressed)
             stream.advance(head.data_start)
-            used = read_large_beginning(stream, head, scan.facts, scan.tally, place)
-            used += head.data_start if used else 0
-            scan.losses.unproven += scan.tally.messages - before
+            used = self._save_large_beginning(stream.read_up_to, stream.left, head, place)
         self._give_up(cut, left - used)
 
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
         scan, batch = self.scan, Batch(self.scan.facts.channels)
-        try:
-            scan.losses.unpack(min(head.uncompressed, MAX_AT_ONCE), end=self._stream.size_bytes)
-        except Malformed:
+        if head.uncompressed > MAX_AT_ONCE:
+            place = Place(CUT, self._stream.position, head.data_start + len(stored), head.uncompressed)
+            return self._save_large_beginning(pieces_of(memoryview(stored)), len(stored), head, place)
+        if not scan.losses.may_unpack(head.uncompressed, end=self._stream.size_bytes):
             return 0
         used, walked = chunks.read_beginning(stored, head, scan.facts, batch)
         place = Place(CUT, self._stream.position, head.data_start + len(stored), head.uncompressed, ((0, walked),))
         before = scan.tally.messages
         self._count(batch, head, place)
+        scan.losses.unproven += scan.tally.messages - before
+        return head.data_start + used if used else 0
+
+    def _save_large_beginning(self, take: ReadUpTo, stored: int, head: chunks.ChunkHead, place: Place) -> int:
+        scan, before = self.scan, self.scan.tally.messages
+        if not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
+            return 0
+        used = read_large_beginning(take, stored, head, scan.facts, scan.tally, place)
         scan.losses.unproven += scan.tally.messages - before
         return head.data_start + used if used else 0
 

@@ -1,11 +1,14 @@
 """The container of a run, as engines are told to make it: what a run may have, and nothing else."""
 
 import resource
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from kleinkram.contract.actions import Network
 from kleinkram.runner import doors
+from kleinkram.runner.docker import gate
+from kleinkram.runner.docker.engine import Image
 from kleinkram.runner.work import Work
 
 RUN_LABEL = "kleinkram.run"
@@ -42,6 +45,16 @@ def describe(work: Work, user: str, volumes: Sequence[str], runner: str) -> dict
         "Healthcheck": {"Test": ["NONE"], "Interval": _HEALTH_EVERY_NS},
         "HostConfig": {**_bounds(work), **_walls(work), "Mounts": _mounts(work, volumes)},
     }
+
+
+def gated(described: Mapping[str, Any], work: Work, image: Image) -> dict[str, object]:
+    """Return a container's description with its command behind a gate; without a command, the engine is to say so."""
+    command = [*image.entry, *(work.command or image.command)]
+    if not command:
+        return dict(described)
+    mounts = [*described["HostConfig"]["Mounts"], _bind(gate.make(work.folder), gate.INSIDE, read_only=True)]
+    host = {**described["HostConfig"], "Mounts": mounts}
+    return {**described, "Entrypoint": list(gate.WAITING), "Cmd": command, "HostConfig": host}
 
 
 def _bounds(work: Work) -> dict[str, object]:

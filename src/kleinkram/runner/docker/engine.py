@@ -51,12 +51,17 @@ class Facts(NamedTuple):
 
 
 class Image(NamedTuple):
-    """What an engine says of an image it has. `digests` are `name@sha256:…`, by the registries it came from."""
+    """What an engine says of an image it has. `digests` are `name@sha256:…`, by the registries it came from.
+
+    `entry` and `command` together are what it runs of itself; a run's own command takes the place of `command`.
+    """
 
     id: str
     digests: tuple[str, ...]
     architecture: str
     volumes: tuple[str, ...]
+    entry: tuple[str, ...]
+    command: tuple[str, ...]
 
 
 class Container(NamedTuple):
@@ -110,8 +115,9 @@ class Engine:
             if error.status == HTTPStatus.NOT_FOUND:
                 return None
             raise
-        volumes = (said.get("Config") or {}).get("Volumes") or {}
-        return Image(said["Id"], tuple(said["RepoDigests"] or ()), said["Architecture"], tuple(volumes))
+        config = said.get("Config") or {}
+        volumes, entry, command = (tuple(config.get(key) or ()) for key in ("Volumes", "Entrypoint", "Cmd"))
+        return Image(said["Id"], tuple(said["RepoDigests"] or ()), said["Architecture"], volumes, entry, command)
 
     def pull(self, name: str, tag: str, *, architecture: str, credentials: str | None) -> None:
         """Fetch an image; `tag` may be a digest.
@@ -131,6 +137,16 @@ class Engine:
     def create(self, name: str, description: Mapping[str, object]) -> None:
         """Make a container that does not run yet."""
         self._ask("POST", f"/containers/create?{urlencode({'name': name})}", description)
+
+    def has_file(self, name: str, path: str) -> bool:
+        """Whether a container has a file, which is not looked into; it need not run."""
+        try:
+            with self._answer("HEAD", f"/containers/{name}/archive?{urlencode({'path': path})}"):
+                return True
+        except Refused as error:
+            if error.status == HTTPStatus.NOT_FOUND:
+                return False
+            raise
 
     def start(self, name: str) -> None:
         """Start a container."""

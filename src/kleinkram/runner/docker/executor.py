@@ -91,11 +91,10 @@ class DockerExecutor:
             folder = container.volume_folder(work, number)
             folder.mkdir(exist_ok=True)
             os.chown(folder, user, -1)
-        task = {
-            "socket": str(self._engine.path),
-            "name": container.name_of(work),
-            "container": container.describe(work, f"{user}:{user}", image.volumes, self._runner),
-        }
+        described = container.describe(work, f"{user}:{user}", image.volumes, self._runner)
+        task = {"socket": str(self._engine.path), "name": container.name_of(work), "container": described}
+        if work.doors:
+            task["gated"] = container.gated(described, work, image)
         self._wardens.start(work, task)
 
     def wait(self, work: Work, timeout_s: float) -> Ending | None:

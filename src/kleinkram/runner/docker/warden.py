@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kleinkram.runner import doors, ward
-from kleinkram.runner.docker import cgroups, first
+from kleinkram.runner.docker import cgroups, first, gate
 from kleinkram.runner.docker.engine import UNSEEN, Container, Engine, EngineAway, Refused
 from kleinkram.runner.docker.log import Log, Piece
 
@@ -92,8 +92,9 @@ class Warden:
             self._over.set()
             return written
         if found is None:
-            self._engine.create(self._name, self._work["container"])
+            self._engine.create(self._name, self._work.get("gated") or self._work["container"])
         if found is None or found.status == "created":
+            self._open_where_no_gate_can_be()
             written = self._attached.enter_context(self._engine.attached(self._name))
             self._engine.start(self._name)
             found = self._find()
@@ -104,6 +105,12 @@ class Warden:
         if found is not None and found.pid:
             self._meet(found)
         return written
+
+    def _open_where_no_gate_can_be(self) -> None:
+        """Make the container anew, without a gate, if its image has no shell that could wait."""
+        if "gated" in self._work and not self._engine.has_file(self._name, gate.SHELL):
+            self._engine.remove(self._name)
+            self._engine.create(self._name, self._work["container"])
 
     def _watch(self, written: Iterator[list[Piece]]) -> None:
         (self._folder / _BEGUN).touch()
@@ -140,6 +147,8 @@ class Warden:
             return
         try:
             doors.carry(doors.listen_in(found.pid, self._ways), self._ways)
+            if "gated" in self._work:
+                gate.open_for(self._folder)
         except OSError:
             if self._lives():
                 raise
@@ -156,7 +165,7 @@ class Warden:
                 self._over.wait(_LOOK_EVERY_S if self._lives() else _TOLD_TO_BE_OVER_S)
                 break
             # What is over, and was not reaped yet, has an empty one.
-            if first and any(each and each != first for each in mine):
+            if first and any(each and each != first and not gate.is_waiting(each) for each in mine):
                 return True
             self._over.wait(0.002)
         return not self._over.is_set() or self._no_command(self._find_over()) is None
