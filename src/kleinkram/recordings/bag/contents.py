@@ -188,23 +188,27 @@ def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool
     stretches: list[tuple[int, int]] = []
     at, end = 0, len(raw)
     first = at
+    # Where the record before begins; behind a hole: none.
+    previous = -1
     while at < end:
         before = at
         at, last = walk(raw, at, end, facts, batch)
         if at == end:
             break
+        previous = last if at > before else previous
         try:
-            at = read_record(raw, at, facts, batch)
+            previous, at = at, read_record(raw, at, facts, batch)
         except Malformed as fault:
             stretches.append((first, at))
             if ends_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
                 holes.append(Hole(at, at, Malformed(fault.where, "its end is missing")))
                 return Contents(holes, at, tuple(stretches))
-            # The length of the message before may be what is wrong.
-            found = find_record(raw, (last if at > before else at) + 1, end)
+            # The length of the record before may be what is wrong.
+            found = find_record(raw, (at if previous < 0 else previous) + 1, end)
             after = end if found is None else found
             holes.append(Hole(at, max(at, after), fault))
             first = at = after
+            previous = -1
     return Contents(holes, end, (*stretches, (first, end)))
 
 

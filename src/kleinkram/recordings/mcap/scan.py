@@ -63,6 +63,7 @@ class _Scanner:
         self._stream = Lookahead(forward)
         self._loose = LooseMessages(self._stream, self.scan.facts, self.scan.tally)
         self._listed: ListedChunk | None = None
+        self._is_found = False
         self._sections = Sections(self._stream, self.scan.facts, self.scan.losses)
 
     def run(self) -> Scan:
@@ -93,6 +94,7 @@ class _Scanner:
         stream.ahead(LOOK)
         if self._is_disguised():
             return
+        self._is_found = False
         if last_bytes := self._loose.walk():
             self._end_chunk()
             self._pass(last_bytes)
@@ -117,7 +119,8 @@ class _Scanner:
     def _is_disguised(self) -> bool:
         """Pass over a record of another kind that claims to be a message, if one stands here."""
         stream, losses = self._stream, self.scan.losses
-        if not plausible.is_disguised(stream.window, stream.at, stream.left, behind_chunk=self._listed is not None):
+        behind_chunk = self._listed is not None or self._is_found
+        if not plausible.is_disguised(stream.window, stream.at, stream.left, behind_chunk=behind_chunk):
             return False
         _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
         losses.note(Malformed(f"byte {stream.position}", "a record of another kind that claims to be a message"))
@@ -330,6 +333,7 @@ class _Scanner:
         scan.losses.messages_are_known = False
         start = stream.position + believed
         pass_damage(stream, scan.facts.channels, scan.losses)
+        self._is_found = True
         scan.losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, lost: int) -> None:
