@@ -181,6 +181,7 @@ def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
 @example("bz2.bag", place_of("bz2.bag", 12746), 1680)  # what is left of a chunk's head claims more than is held at once
 @example("none.bag", place_of("none.bag", 4530), 3181)  # a message's length reaches into the next chunk but one
 @example("lz4.mcap", place_of("lz4.mcap", 3286), 7)  # what is left of a message index looks like a message
+@example("none.mcap", place_of("none.mcap", 1730), 22)  # ... like a record of unknown kind that reaches into a chunk
 @settings(max_examples=500, deadline=None)
 def test_a_sector_cut_out(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]

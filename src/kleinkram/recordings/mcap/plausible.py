@@ -110,9 +110,12 @@ def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
 
 
 def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
-    after, left = at + RECORD_HEAD.size + length, left - RECORD_HEAD.size - length
+    body, left_after_head = at + RECORD_HEAD.size, left - RECORD_HEAD.size
+    after, left = body + length, left_after_head - length
     if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
         return left >= 0
+    if data[at] < _FIRST_PRIVATE and holds_chunk(data, body, after, left_after_head):
+        return False
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
     # A message index follows a chunk: what stands before it is one whose beginning is lost.
