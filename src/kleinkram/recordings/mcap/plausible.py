@@ -56,7 +56,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     """Say what is wrong with a record that stands where one should; None: it can be followed.
 
     `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
-    we do, or by another of a private kind.
+    we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     is_known = opcode in _NEEDED
@@ -114,7 +114,7 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
     after, left = body + length, left_after_head - length
     if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
         return left >= 0
-    if data[at] < _FIRST_PRIVATE and holds_chunk(data, body, after, left_after_head):
+    if data[at] < _FIRST_PRIVATE and holds_chunk(data, body, min(after, body + LOOK), left_after_head):
         return False
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
