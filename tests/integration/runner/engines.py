@@ -36,10 +36,12 @@ _numbers = itertools.count(77)
 @contextmanager
 def bridge() -> Iterator[tuple[str, str]]:
     """Make a network for containers that may have one, and yield its interface and this machine's address there."""
-    number = next(_numbers)
-    name, address = f"kl{os.getpid()}-{number}", f"10.{os.getpid() % 50 + 200}.{number}.1"
+    name = f"kl{os.getpid()}-{next(_numbers)}"
     _ip("link", "add", name, "type", "bridge")
     try:
+        # By the number that the kernel gave it: no other that is there, be it left by a killed round, has the same.
+        number = int(Path(f"/sys/class/net/{name}/ifindex").read_text())
+        address = f"10.{number // 256 % 50 + 200}.{number % 256}.1"
         _ip("address", "add", f"{address}/24", "dev", name)
         _ip("link", "set", name, "up")
         yield name, address
