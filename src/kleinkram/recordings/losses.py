@@ -48,7 +48,7 @@ class Losses:
             raise Malformed("chunk", message, certain=False)
 
     def may_unpack(self, uncompressed: int, *, end: int) -> bool:
-        """Count it as `unpack` does, or say that it is too much, and that it does not count."""
+        """Count it as `unpack` does, and return True; False, uncounted, where it is too much."""
         if self.unpacked_bytes + uncompressed > _most_unpacked(end):
             return False
         self.unpacked_bytes += uncompressed

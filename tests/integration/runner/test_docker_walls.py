@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import resource
 import stat
 from pathlib import Path
@@ -71,7 +72,7 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
 )
 def test_what_first_processes_say_of_a_command_that_is_not_there(said: str, told: str | None) -> None:
     written = [[Piece(2, said[:9].encode()), Piece(2, said[9:].encode())]]
-    found = first.no_command(written, ["/usr/bin/odd", "-v"])
+    found = first.no_command(written, ["/usr/bin/odd", "-v"], 127)
     assert found is None if told is None else str(found).startswith(told)
 
 
@@ -88,7 +89,7 @@ def test_behind_a_gate_the_same_is_run(
     tmp_path: Path, image: list[list[str]], command: list[str], runs: list[str] | None
 ) -> None:
     work = Work(**{**vars(work_of(tmp_path, Network.api)), "command": command})
-    plain = describe(work, "1000:1000", [], "desk")
+    plain = describe(work, f"{os.getuid()}:{os.getgid()}", [], "desk")
     made = json.loads(json.dumps(gated(plain, work, Image("1", (), "amd64", (), *map(tuple, image)))))
     if runs is None:
         assert made == json.loads(json.dumps(plain))
@@ -97,6 +98,11 @@ def test_behind_a_gate_the_same_is_run(
     added = made["HostConfig"].pop("Mounts")[-1]
     assert (added["Source"], added["ReadOnly"]) == (str(tmp_path / gate.PIPE), True)
     assert stat.S_ISFIFO((tmp_path / gate.PIPE).stat().st_mode)
+
+
+def test_words_like_a_shells_are_a_programs_own_where_it_ends_by_another_code() -> None:
+    written = [[Piece(2, b"kleinkram: 1: exec: /usr/bin/odd: not found")]]
+    assert first.no_command(written, ["/usr/bin/odd"], 1) is None
 
 
 def test_volumes_of_an_image_are_counted_with_tmp(tmp_path: Path) -> None:

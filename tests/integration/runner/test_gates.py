@@ -79,6 +79,12 @@ def test_a_command_that_is_not_there(bench: Bench, command: str) -> None:
     assert caught.value.ending.reason is EndReason.command_not_found
 
 
+def test_what_looks_as_if_it_waited_is_held_to_its_bounds(bench: Bench) -> None:
+    work = bench.work(list(gate.WAITING), network=Network.api, doors=DOORS, time_s=3)
+    bench.executor.start(work)
+    assert bench.end_of(work).reason is EndReason.time
+
+
 def test_without_a_shell_it_does_not_wait(bench: Bench) -> None:
     assert bench.engine is not None
     image = bench.engine.load("lab/bare:1", root=engines.python_root(with_shell=False))

@@ -79,8 +79,8 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
     """Say whether what claims to be a message has the lengths of a record whose opcode is one bit away from that.
 
-    `left`: bytes from `at` to the end of the file. `behind_chunk`: where message indexes stand; a message elsewhere may
-    look like one by chance.
+    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
+    may stand; a message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -112,10 +112,10 @@ def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
 def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
     body, left_after_head = at + RECORD_HEAD.size, left - RECORD_HEAD.size
     after, left = body + length, left_after_head - length
-    if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
-        return left >= 0
-    if data[at] < _FIRST_PRIVATE and holds_chunk(data, body, min(after, body + LOOK), left_after_head):
+    if left < 0 or (data[at] < _FIRST_PRIVATE and holds_chunk(data, body, min(after, body + LOOK), left_after_head)):
         return False
+    if left < RECORD_HEAD.size or after + min(LOOK, left) > len(data):
+        return True
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
     # A message index follows a chunk: what stands before it is one whose beginning is lost.

@@ -293,7 +293,8 @@ class _Scanner:
 
     def _save_large_beginning(self, take: ReadUpTo, stored: int, head: chunks.ChunkHead, place: Place) -> int:
         scan, before = self.scan, self.scan.tally.messages
-        if not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
+        is_packed = bool(head.compression)
+        if is_packed and not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
             return 0
         used = read_large_beginning(take, stored, head, scan.facts, scan.tally, place)
         scan.losses.unproven += scan.tally.messages - before

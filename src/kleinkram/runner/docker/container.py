@@ -52,7 +52,8 @@ def gated(described: Mapping[str, Any], work: Work, image: Image) -> dict[str, o
     command = [*image.entry, *(work.command or image.command)]
     if not command:
         return dict(described)
-    mounts = [*described["HostConfig"]["Mounts"], _bind(gate.make(work.folder), gate.INSIDE, read_only=True)]
+    pipe = gate.make(work.folder, int(described["User"].partition(":")[0]))
+    mounts = [*described["HostConfig"]["Mounts"], _bind(pipe, gate.INSIDE, read_only=True)]
     host = {**described["HostConfig"], "Mounts": mounts}
     return {**described, "Entrypoint": list(gate.WAITING), "Cmd": command, "HostConfig": host}
 

@@ -139,7 +139,7 @@ class Engine:
         self._ask("POST", f"/containers/create?{urlencode({'name': name})}", description)
 
     def has_file(self, name: str, path: str) -> bool:
-        """Whether a container has a file, which is not looked into; it need not run."""
+        """Whether a container has a file, which is not looked into; the container need not run."""
         try:
             with self._answer("HEAD", f"/containers/{name}/archive?{urlencode({'path': path})}"):
                 return True

@@ -18,12 +18,13 @@ WAITING = (SHELL, "-c", f'read -r _ <{INSIDE}; exec "$@"', NAME)
 _WAITING_TEXT = b"\0".join(word.encode() for word in WAITING)
 
 
-def make(folder: Path) -> Path:
-    """Make the pipe of a run, and return where it is."""
+def make(folder: Path, uid: int) -> Path:
+    """Make the pipe of a run, which this user alone may read, and return where it is."""
     path = folder / PIPE
     with contextlib.suppress(FileExistsError):
         os.mkfifo(path)
-    path.chmod(0o644)
+    path.chmod(0o400)
+    os.chown(path, uid, -1)
     return path
 
 

@@ -43,6 +43,10 @@ _TOLD_TO_BE_OVER_S = 5.0
 _SEEN_TO_BE_OVER_S = 1.0
 # That the container was seen to run. The log tells nothing of that: it stays when the run is begun anew.
 _BEGUN = "begun"
+# That its image has no shell that could wait.
+_UNGATED = "ungated"
+# A command that looks like one that waits is taken for begun then: until it has, it is held to no bounds.
+_BEGINS_S = 10.0
 _LOST = ("lost", "Its container was ended from outside: by a restart of the engine or of the machine, or by hand.")
 
 
@@ -92,7 +96,7 @@ class Warden:
             self._over.set()
             return written
         if found is None:
-            self._engine.create(self._name, self._work.get("gated") or self._work["container"])
+            self._engine.create(self._name, self._work["gated"] if self._is_gated() else self._work["container"])
         if found is None or found.status == "created":
             self._open_where_no_gate_can_be()
             written = self._attached.enter_context(self._engine.attached(self._name))
@@ -106,10 +110,14 @@ class Warden:
             self._meet(found)
         return written
 
+    def _is_gated(self) -> bool:
+        return "gated" in self._work and not (self._folder / _UNGATED).exists()
+
     def _open_where_no_gate_can_be(self) -> None:
         """Make the container anew, without a gate, if its image has no shell that could wait."""
-        if "gated" in self._work and not self._engine.has_file(self._name, gate.SHELL):
+        if self._is_gated() and not self._engine.has_file(self._name, gate.SHELL):
             self._engine.remove(self._name)
+            (self._folder / _UNGATED).touch()
             self._engine.create(self._name, self._work["container"])
 
     def _watch(self, written: Iterator[list[Piece]]) -> None:
@@ -132,7 +140,7 @@ class Warden:
             ward.write_usage(self._folder, self._use)
 
     def _meet(self, found: Container) -> None:
-        """Look at the container's first process from outside, and make the doors of its network."""
+        """Look at the container's first process from outside, and make the doors that its command waits for."""
         self._began = ward.began(found.pid) or 0
         groups: dict[str, str] = {}
         with contextlib.suppress(OSError):
@@ -147,7 +155,7 @@ class Warden:
             return
         try:
             doors.carry(doors.listen_in(found.pid, self._ways), self._ways)
-            if "gated" in self._work:
+            if self._is_gated():
                 gate.open_for(self._folder)
         except OSError:
             if self._lives():
@@ -155,7 +163,8 @@ class Warden:
 
     def _runs_command(self) -> bool:
         """Wait until the container's first process has become the command, and return whether it did."""
-        while not self._over.is_set():
+        until = time.monotonic() + _BEGINS_S
+        while not self._over.is_set() and time.monotonic() < until:
             children = Path(f"/proc/{self._pid}/task/{self._pid}/children")
             try:
                 mine = [Path(f"/proc/{each}/cmdline").read_bytes() for each in children.read_text().split()]
@@ -174,9 +183,10 @@ class Warden:
         """Return what keeps the command from running, if its container ended by that."""
         if found is None or found.exit_code not in first.CODES:
             return None
-        command = self._work["container"]["Cmd"]
+        command = [gate.SHELL] if self._is_gated() else self._work["container"]["Cmd"]
+        code = found.exit_code
         try:
-            return self._insist(lambda: first.no_command(self._engine.log(self._name, follow=False), command))
+            return self._insist(lambda: first.no_command(self._engine.log(self._name, follow=False), command, code))
         except Refused:
             return None
 
