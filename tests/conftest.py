@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,12 @@ from hypothesis import HealthCheck, settings
 
 from tests.lacking import missing
 
+MakeCase = Callable[[str], Path]
+
 RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).parents[2] / "shared" / "recordings")
+
+# Makers of small inputs that once failed, one folder each, beside the recordings.
+CASES = RECORDINGS.parent / "cases"
 
 # Run in the background or under nohup, tests would hand on to what they start that these are ignored.
 for _sign in (signal.SIGINT, signal.SIGHUP):
@@ -36,3 +44,28 @@ def recordings_dir() -> Path:
     if not (RECORDINGS / "manifest.json").is_file():
         missing(f"no recordings at {RECORDINGS}: set KLEINKRAM_RECORDINGS")
     return RECORDINGS
+
+
+@pytest.fixture(scope="session")
+def make_case(tmp_path_factory: pytest.TempPathFactory) -> MakeCase:
+    """A function that runs the maker of a case, by its number as in "02A", and returns the folder with what it made."""
+    made: dict[str, Path] = {}
+
+    def make(number: str) -> Path:
+        if number not in made:
+            made[number] = run_case(number, tmp_path_factory.mktemp(f"case-{number}"))
+        return made[number]
+
+    return make
+
+
+def run_case(number: str, folder: Path) -> Path:
+    """Run the maker of one case; what it makes is in the returned folder, and what it prints in `printed.txt` there."""
+    maker = next(CASES.glob(f"{number}-*/make.py"), None)
+    if maker is None:
+        missing(f"no case {number} at {CASES}: set KLEINKRAM_RECORDINGS")
+    made = subprocess.run(
+        [sys.executable, maker, folder], check=True, cwd=folder, capture_output=True, text=True, timeout=60
+    )
+    (folder / "printed.txt").write_text(made.stdout)
+    return folder
