@@ -113,9 +113,6 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     Refused: ExitCode.usage,
 }
 
-# Left out as it should be: the rest was done, and the command did what it was asked to.
-HARMLESS = (local.StillRecording, local.NotAFile)
-
 
 def explain(error: Exception) -> int | None:
     """Say a failure on stderr and return its exit code; None for one that has no name, which is a bug of ours."""
@@ -143,12 +140,9 @@ def sentences(error: KleinkramError) -> list[str]:
     return lines
 
 
-def exit_code_of(failures: Iterable[KleinkramError], *, anything_done: bool = True) -> int:
-    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none.
-
-    What was left out as it should be is no failure, unless nothing else was asked for.
-    """
-    codes = {EXIT_CODES[type(error)] for error in failures if not (anything_done and isinstance(error, HARMLESS))}
+def exit_code_of(failures: Iterable[KleinkramError]) -> int:
+    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none."""
+    codes = {EXIT_CODES[type(error)] for error in failures}
     if not codes:
         return 0
     return codes.pop() if len(codes) == 1 else ExitCode.several

@@ -196,7 +196,7 @@ def _show(
         now = {each.id: each for each in made}
         items = [RunMade(run=now[each.run.id]) if isinstance(each, RunMade) else each for each in outcomes]
         show_json({"items": items})
-    code = exit_code_of(failures, anything_done=bool(made)) or (code_of(made) if follow_it else 0)
+    code = exit_code_of(failures) or (code_of(made) if follow_it else 0)
     if code:
         raise typer.Exit(code)
 

@@ -58,7 +58,7 @@ def the_ref(what: str, positional: str | None, option: str | None) -> str:
 
 
 def read_text(path: Path | None) -> str | None:
-    """Return what a file given on the command line says; None for none.
+    """Return what a file given on the command line says, to the letter (line ends and byte order mark); None for none.
 
     Raises:
         InvalidInput: it cannot be read, or is not text.
@@ -66,7 +66,7 @@ def read_text(path: Path | None) -> str | None:
     if path is None:
         return None
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_bytes().decode("utf-8")
     except OSError as error:
         raise InvalidInput(what=f"The file {str(path)!r}", reason=error.strerror or str(error)) from None
     except UnicodeDecodeError:

@@ -28,11 +28,11 @@ def plain_report(report: TransferReport) -> dict[str, object]:
             "moved_bytes": result.moved_bytes,
             "file_id": str(result.file_id) if result.file_id else None,
             "sha256": result.sha256,
-            "error": _plain_error(result.error),
+            "error": plain_error(result.error),
         }
         for result in report.results
     ]
-    return {"items": items, "left_out": [_plain_error(error) for error in report.left_out]}
+    return {"items": items, "left_out": [plain_error(error) for error in report.left_out]}
 
 
 def say_summary(report: TransferReport, elapsed_s: float) -> None:
@@ -46,7 +46,8 @@ def say_summary(report: TransferReport, elapsed_s: float) -> None:
         note(f"Request id: {escape(request_id)}")
 
 
-def _plain_error(error: KleinkramError | None) -> dict[str, object] | None:
+def plain_error(error: KleinkramError | None) -> dict[str, object] | None:
+    """Return the stable JSON shape of a failure."""
     if error is None:
         return None
     return {"kind": type(error).__name__, "message": str(error), "exit_code": int(EXIT_CODES[type(error)])}

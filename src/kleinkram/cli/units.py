@@ -9,6 +9,11 @@ from kleinkram.contract.amounts import read_size, read_time
 _NS = 1_000_000_000
 
 
+def count(number: int, noun: str, plural: str = "") -> str:
+    """Return `1 file`, `2 files`; `plural` where it is not the noun with an s."""
+    return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
+
+
 def parse_size(text: str) -> int:
     """Return bytes of `200MB`, `10M`, `8MiB`, `1500`; units are decimal unless they say `i`.
 

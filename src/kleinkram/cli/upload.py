@@ -127,7 +127,7 @@ def _transfer(
     if as_json:
         show_json({"mission_id": str(mission.id), "elapsed_s": elapsed_s, **plain_report(report)})
     say_summary(report, elapsed_s)
-    code = exit_code_of([*report.failures, *report.left_out], anything_done=bool(plan.files))
+    code = exit_code_of([*report.failures, *report.left_out])
     if code == 0 and wait is not None:
         _wait_for_summaries(client, mission.id, wait)
     if code != 0:

@@ -1,19 +1,20 @@
 """`klein verify`"""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.errors import ExitCode
+from kleinkram.cli.errors import ExitCode, exit_code_of
 from kleinkram.cli.filters import Choice, Many, select_files
 from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, the_ref
 from kleinkram.cli.render import moment, note, show_json, table
-from kleinkram.cli.transfer_view import say_left_out
-from kleinkram.cli.units import size
+from kleinkram.cli.transfer_view import plain_error, say_left_out
+from kleinkram.cli.units import count, size
 from kleinkram.client import Client
-from kleinkram.client.errors import InvalidInput, NothingToDo
-from kleinkram.client.transfer import Verdict, Verified, plan_upload, verify_local, verify_remote
+from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo
+from kleinkram.client.transfer import UploadPlan, Verdict, Verified, plan_upload, verify_local, verify_remote
 
 
 def verify(
@@ -27,30 +28,37 @@ def verify(
     as_json: AsJson = False,
 ) -> None:
     """Compare local files with a mission's, byte for byte (by sha256); or prove those in the store again."""
+    left_out: Sequence[ClientError] = ()
     with connect() as client:
         if remote:
             found = _remote(client, project, mission, paths or [], timeout)
         else:
-            found = _local(client, project, the_ref("mission", None, mission), paths or [])
+            plan = _plan(paths or [])
+            mission_id = client.missions.get(the_ref("mission", None, mission), project=project).id
+            found, left_out = verify_local(client.files, mission_id, plan), plan.left_out
     if as_json:
-        show_json({"items": [_plain(one) for one in found]})
+        show_json({"items": [_plain(one) for one in found], "left_out": [plain_error(each) for each in left_out]})
     else:
         table(["verdict", "path", "size"], [(one.verdict.value, one.path, size(one.size_bytes)) for one in found])
         _say_damage(found)
-    odd = sum(one.verdict is not Verdict.same for one in found)
-    note(f"{len(found) - odd} of {len(found)} files are the same.")
-    if odd:
+    unread = [one.error for one in found if one.error is not None]
+    say_left_out(unread)
+    odd = [one for one in found if one.verdict is not Verdict.same]
+    note(f"{len(found) - len(odd)} of {count(len(found) + len(left_out), 'file')} are the same.")
+    if len(odd) > len(unread):
         raise typer.Exit(ExitCode.bytes_differ)
+    if code := exit_code_of([*unread, *left_out]):
+        raise typer.Exit(code)
 
 
-def _local(client: Client, project: str | None, mission: str, paths: list[str]) -> list[Verified]:
+def _plan(paths: list[str]) -> UploadPlan:
     if not paths:
         raise InvalidInput(what="The command", reason="say which local files to compare, or --remote")
     plan = plan_upload(paths, include_active=True)
     say_left_out(plan.left_out)
-    if not plan.files:
+    if not plan.files and not plan.left_out:
         raise NothingToDo(reason="There is no file in these paths")
-    return verify_local(client.files, client.missions.get(mission, project=project).id, plan)
+    return plan
 
 
 def _remote(

@@ -153,7 +153,7 @@ class NameUnusable(ClientError):
 
 @dataclass(eq=False)
 class PathsCollide(ClientError):
-    """{first!r} and {second!r} would both become {path!r}. Nothing was transferred; {remedy}."""
+    """{first} and {second} would both become {path}: {remedy}."""
 
     path: str
     first: str

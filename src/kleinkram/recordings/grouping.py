@@ -4,8 +4,10 @@
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
   A metadata.yaml that is known to say something else counts as none.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
-  recordings); for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
-  `prefix_2024-05-01-10-05-00_1.bag` ..., where a smaller number begins the next recording.
+  recordings). A time at the end of a name is no such number: `run_2026_01_17-10_00_00.mcap` stands by itself.
+* split, with the time of each file in its name: `0_name_2026_01_17-10_00_30.mcap`, `1_name_2026_01_17-10_01_30.mcap`
+  ... of rosbag2 since Kilted, and for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
+  `prefix_2024-05-01-10-05-00_1.bag` ...; a smaller number begins the next recording.
   Where it is known what metadata.yaml says, the files that it names come first and in its order; files of the same
   stem that it does not name follow them; a folder of which no file is there is a recording without members.
 * single: every other recording file.
@@ -19,14 +21,28 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import PurePosixPath
+from typing import NamedTuple
 
 from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata
 
 METADATA_NAME = "metadata.yaml"
-_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2)(\.zstd?)?", re.IGNORECASE | re.DOTALL)
+# `.active`: a bag whose recorder was killed, or is still at work.
+_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
 _ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
+_TIMED_ROSBAG2 = re.compile(
+    r"(?P<folder>(.*/)?)(?P<number>\d+)_(?P<name>[^/]+)_(?P<time>\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d)"
+    r"(?P<suffix>\.(mcap|db3)(\.zstd?)?)",
+    re.IGNORECASE | re.DOTALL,
+)
 _BAG = re.compile(
-    r"(?P<prefix>.*)(?P<time>\d{4}-\d\d-\d\d-\d\d-\d\d-\d\d)_(?P<number>\d+)\.bag", re.IGNORECASE | re.DOTALL
+    r"(?P<prefix>.*)(?P<time>\d{4}-\d\d-\d\d-\d\d-\d\d-\d\d)_(?P<number>\d+)\.bag(\.active)?",
+    re.IGNORECASE | re.DOTALL,
+)
+# A date and a time of day at the end of a name, with the usual separators or none.
+_TIME_AT_END = re.compile(
+    r"(?<!\d)\d{4}([-_.]?)(0[1-9]|1[0-2])\1(0[1-9]|[12]\d|3[01])[-_T.]?"
+    r"([01]\d|2[0-3])([-_.:]?)[0-5]\d(\5[0-5]\d)?",
+    re.IGNORECASE,
 )
 
 
@@ -92,21 +108,57 @@ def _group_folder(
     return [found, *_group_by_name([path for path in paths if path not in set(own)])]
 
 
+class _DataFile(NamedTuple):
+    """A data file of rosbag2, and what its name says.
+
+    Attributes:
+        stem: path without number, time and suffix: that of all files of one recording.
+        number: its place among them; 0 where the name has none.
+        time: when it was begun, where the name says so; sorts as text.
+    """
+
+    path: str
+    stem: str
+    number: int
+    time: str
+    suffix: str
+
+
+def _parse_name(path: str) -> _DataFile | None:
+    """Read the name of a rosbag2 data file; None where it is none."""
+    if timed := _TIMED_ROSBAG2.fullmatch(path):
+        return _DataFile(path, timed["folder"] + timed["name"], int(timed["number"]), timed["time"], timed["suffix"])
+    plain = _ROSBAG2.fullmatch(path)
+    if plain is None:
+        return None
+    if plain["number"] and _ends_in_time(f"{plain['stem']}_{plain['number']}"):
+        return _DataFile(path, f"{plain['stem']}_{plain['number']}", 0, "", plain["suffix"])
+    return _DataFile(path, plain["stem"], int(plain["number"] or 0), "", plain["suffix"])
+
+
+def _ends_in_time(name: str) -> bool:
+    return any(found.end() == len(name) for found in _TIME_AT_END.finditer(name))
+
+
 def _members(folder: str, paths: list[str], said: Rosbag2Metadata | None) -> list[str]:
     """Return the files that the metadata.yaml of a folder is about."""
-    by_stem: dict[str, list[tuple[int, str]]] = defaultdict(list)
+    by_stem: dict[str, list[_DataFile]] = defaultdict(list)
     for path in paths:
-        match = _ROSBAG2.fullmatch(path)
-        if match is not None:
-            by_stem[match["stem"]].append((int(match["number"] or 0), path))
+        if (file := _parse_name(path)) is not None:
+            by_stem[file.stem].append(file)
     named = {PurePosixPath(path).name: number for number, path in enumerate(said.files)} if said else {}
     here = sorted((named[name], path) for path in paths if (name := PurePosixPath(path).name) in named)
     stem = _stem_of_folder(folder, set(by_stem))
     if not here:
-        return [path for _, path in sorted(by_stem[stem])] if stem is not None else []
-    stems = {match["stem"] for _, path in here if (match := _ROSBAG2.fullmatch(path))}
-    surplus = sorted(member for stem in stems for member in by_stem[stem] if member[1] not in {p for _, p in here})
-    return [path for _, path in (*here, *surplus)]
+        return [file.path for file in _in_order(by_stem[stem])] if stem is not None else []
+    expected = [path for _, path in here]
+    stems = sorted({file.stem for path in expected if (file := _parse_name(path)) is not None})
+    surplus = [file.path for stem in stems for file in _in_order(by_stem[stem]) if file.path not in set(expected)]
+    return [*expected, *surplus]
+
+
+def _in_order(files: Iterable[_DataFile]) -> list[_DataFile]:
+    return sorted(files, key=lambda file: (file.number, file.time, file.path))
 
 
 def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
@@ -118,27 +170,34 @@ def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
 
 
 def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
-    sets: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
-    bags: list[str] = []
+    sets: dict[tuple[str, str], list[_DataFile]] = defaultdict(list)
+    timed: dict[tuple[str, str], list[_Timed]] = defaultdict(list)
+    others: list[str] = []
     for path in paths:
-        match = _ROSBAG2.fullmatch(path)
-        if match is None:
-            bags.append(path)
+        file = _parse_name(path)
+        if file is None:
+            others.append(path)
+        elif file.time:
+            timed[file.stem, file.suffix].append((file.time, file.number, path))
         else:
-            sets[match["stem"], match["suffix"]].append((int(match["number"] or 0), path))
+            sets[file.stem, file.suffix].append(file)
     splits = [found for (stem, suffix), members in sets.items() for found in _group_split(stem + suffix, members)]
-    return [*_group_bags(bags), *splits]
+    return [*_group_bags(others), *splits, *_group_timed(timed.values())]
 
 
-def _group_split(name: str, members: list[tuple[int, str]]) -> list[RecordingGroup]:
-    members = sorted(members)
-    if len(members) > 1 and members[0][0] == 0:
-        return [RecordingGroup(name, GroupKind.split_set, tuple(path for _, path in members))]
-    return [_single(path) for _, path in members]
+def _group_split(name: str, files: Iterable[_DataFile]) -> list[RecordingGroup]:
+    files = _in_order(files)
+    if len(files) > 1 and files[0].number == 0:
+        return [RecordingGroup(name, GroupKind.split_set, tuple(file.path for file in files))]
+    return [_single(file.path) for file in files]
+
+
+# When a file was begun, its number in the recording, and its path.
+_Timed = tuple[str, int, str]
 
 
 def _group_bags(paths: list[str]) -> list[RecordingGroup]:
-    sets: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
+    sets: dict[str, list[_Timed]] = defaultdict(list)
     groups: list[RecordingGroup] = []
     for path in paths:
         match = _BAG.fullmatch(path)
@@ -146,20 +205,19 @@ def _group_bags(paths: list[str]) -> list[RecordingGroup]:
             groups.append(_single(path))
         else:
             sets[match["prefix"]].append((match["time"], int(match["number"]), path))
-    for members in sets.values():
-        groups += _group_bag_splits(sorted(members))
-    return groups
+    return groups + _group_timed(sets.values())
 
 
-def _group_bag_splits(members: list[tuple[str, int, str]]) -> list[RecordingGroup]:
-    """Cut bags of one prefix, in the order of their times, where the number does not grow."""
+def _group_timed(sets: Iterable[list[_Timed]]) -> list[RecordingGroup]:
+    """Cut the files of each set, in the order of their times, where the number does not grow."""
     recordings: list[list[str]] = []
-    previous = -1
-    for _time, number, path in members:
-        if number <= previous or not recordings:
-            recordings.append([])
-        recordings[-1].append(path)
-        previous = number
+    for files in sets:
+        previous: int | None = None
+        for _time, number, path in sorted(files):
+            if previous is None or number <= previous:
+                recordings.append([])
+            recordings[-1].append(path)
+            previous = number
     return [
         RecordingGroup(found[0], GroupKind.split_set, tuple(found)) if len(found) > 1 else _single(found[0])
         for found in recordings

@@ -12,11 +12,11 @@ from typing import Protocol
 
 from kleinkram.recordings.combining import combine
 from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.folder import FolderRecordings, read_folder, recording_of_metadata
 from kleinkram.recordings.forward import FileForward
-from kleinkram.recordings.grouping import METADATA_NAME, GroupKind, RecordingGroup, group
-from kleinkram.recordings.model import Depth, RecordingSummary
+from kleinkram.recordings.grouping import METADATA_NAME, GroupKind, RecordingGroup
+from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.rosbag2.folder import combine_folder
-from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 from kleinkram.recordings.sources import FileSource
 from kleinkram.recordings.summary import scan, summarise
 
@@ -35,10 +35,11 @@ class Watch(Protocol):
 
 
 class InspectionKind(str, Enum):
-    """Whether one file or a recording of several was looked at."""
+    """Whether one file or a recording of several was looked at; `folder` is one that could not be listed."""
 
     file = "file"
     recording = "recording"
+    folder = "folder"
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class Inspection:
     Attributes:
         path: as it was given, or below the folder that was given.
         members: the data files, as paths like `path`.
-        summary: of the file, or of all members together.
+        summary: of the file, or of all members together. Its content is `error` where one could not be read, with
+            why in `reason`.
     """
 
     path: str
@@ -63,11 +65,11 @@ def inspect_paths(
     """Look into files and folders, in the order given; of a folder, each recording inside it.
 
     `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
-    `watch` is then told of the bytes that were read.
+    `watch` is then told of the bytes that were read. A metadata.yaml of rosbag2 stands for its recording. A file or
+    folder that cannot be read is an inspection of its own and hides no other.
 
     Raises:
         FileNotFoundError: a path does not exist; nothing was read.
-        SourceError: a file cannot be read.
     """
     look = _Look(depth, watch)
     given = [Path(path) for path in paths]
@@ -76,7 +78,7 @@ def inspect_paths(
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     found: list[Inspection] = []
     for path in given:
-        found += _inspect_folder(path, look) if path.is_dir() else [_inspect_file(path, look)]
+        found += _inspect_folder(path, look) if path.is_dir() else [_inspect_given_file(path, look)]
     return found
 
 
@@ -125,7 +127,13 @@ class _Look:
         self._watch = watch
 
     def into(self, path: Path) -> RecordingSummary:
-        """Summarise or scan a file."""
+        """Summarise or scan a file; say so where it cannot be read."""
+        try:
+            return self._read(path)
+        except SourceError as error:
+            return _unreadable(str(error))
+
+    def _read(self, path: Path) -> RecordingSummary:
         if self._depth is Depth.summary:
             with FileSource(path) as source:
                 return summarise(source)
@@ -156,36 +164,45 @@ class _Watched:
         return data
 
 
+def _unreadable(reason: str) -> RecordingSummary:
+    return RecordingSummary(RecordingFormat.unknown, Content.error, reason)
+
+
+def _inspect_given_file(path: Path, look: _Look) -> Inspection:
+    if path.name != METADATA_NAME:
+        return _inspect_file(path, look)
+    try:
+        found = recording_of_metadata(path)
+    except SourceError as error:
+        return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
+    return _inspect_file(path, look) if found is None else _inspect_group(path.parent, found[1], found[0], look)
+
+
 def _inspect_file(path: Path, look: _Look) -> Inspection:
     return Inspection(str(path), InspectionKind.file, (str(path),), look.into(path))
 
 
 def _inspect_folder(folder: Path, look: _Look) -> list[Inspection]:
-    names = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
-    stated = {
-        name: said
-        for name in names
-        if name.rpartition("/")[2] == METADATA_NAME and (said := _read_metadata(folder / name)) is not None
-    }
-    return [
-        _inspect_group(folder, found, stated.get(found.metadata_path or ""), look) for found in group(names, stated)
+    found = read_folder(folder)
+    unlisted = [
+        Inspection(
+            str(each.path), InspectionKind.folder, (), _unreadable(f"{each.path}: cannot be read: {each.reason}")
+        )
+        for each in found.unreadable_folders
     ]
+    unread = [
+        Inspection(str(folder / name), InspectionKind.file, (str(folder / name),), _unreadable(str(error)))
+        for name, error in found.unreadable_files.items()
+    ]
+    return [*unlisted, *unread, *(_inspect_group(folder, each, found, look) for each in found.groups)]
 
 
-def _inspect_group(folder: Path, found: RecordingGroup, said: Rosbag2Metadata | None, look: _Look) -> Inspection:
+def _inspect_group(folder: Path, found: RecordingGroup, beside: FolderRecordings, look: _Look) -> Inspection:
     if found.kind is GroupKind.single:
         return _inspect_file(folder / found.members[0], look)
     members = tuple(str(folder / name) for name in found.members)
     names = [Path(member).name for member in members]
     summaries = [look.into(Path(member)) for member in members]
     is_folder = found.kind is GroupKind.rosbag2
-    summary = combine_folder(said, names, summaries) if is_folder else combine(summaries, names)
+    summary = combine_folder(beside.metadata_of(found), names, summaries) if is_folder else combine(summaries, names)
     return Inspection(str(folder / found.name), InspectionKind.recording, members, summary)
-
-
-def _read_metadata(path: Path) -> Rosbag2Metadata | None:
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error

@@ -184,3 +184,8 @@ class RecordingSummary:
     depth: Depth = Depth.summary
     lost: Lost | None = None
     facts: tuple[Fact, ...] = ()
+
+
+def counted(number: int, one: str, several: str = "") -> str:
+    """Return `1 message`, `2 messages`; `several`: what follows other numbers, where that is not `one` and an s."""
+    return f"{number} {one if number == 1 else several or f'{one}s'}"

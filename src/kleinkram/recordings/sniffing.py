@@ -6,7 +6,7 @@ Reads at most 64 KB at the start of the file and decompresses at most 64 KB; onl
 from __future__ import annotations
 
 import re
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import zstandard
 
@@ -72,11 +72,14 @@ def sniff(source: Source) -> RecordingFormat:
     head = source.read(0, min(HEAD_BYTES, source.size_bytes))
     if head.startswith(_SQLITE_MAGIC):
         head = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
-    return sniff_head(head)
+    return sniff_head(head, path=getattr(source, "path", None))
 
 
-def sniff_head(head: bytes) -> RecordingFormat:
-    """Say what a file is by its first bytes: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else."""
+def sniff_head(head: bytes, *, path: Path | None = None) -> RecordingFormat:
+    """Say what a file is by its first bytes: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else.
+
+    `path`: where it is on this machine, so that the log beside a database can be found; None where it is nowhere.
+    """
     if head.startswith(mcap_records.MAGIC) and LIBRARY_WORD in head[len(mcap_records.MAGIC) :][:_MCAP_HEADER_BYTES]:
         return RecordingFormat.svo2
     for magic, kind in _MAGICS:
@@ -84,9 +87,19 @@ def sniff_head(head: bytes) -> RecordingFormat:
             return kind
     if head.startswith(_SQLITE_MAGIC):
         # The schema of a database stands in its first page, as the text of the statements that made it.
-        is_rosbag2 = all(table.search(head) for table in _ROSBAG2_TABLES)
+        is_rosbag2 = all(table.search(head) for table in _ROSBAG2_TABLES) or is_database_in_log(head, path)
         return RecordingFormat.rosbag2_db3 if is_rosbag2 else RecordingFormat.unknown
     return _sniff_text(head[:HEAD_BYTES])
+
+
+def is_database_in_log(head: bytes, path: Path | None) -> bool:
+    """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
+
+    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
+    """
+    if path is None or not head.startswith(_SQLITE_MAGIC) or path.suffix.lower() != ".db3":
+        return False
+    return any(Path(f"{path}{suffix}").is_file() for suffix in ("-wal", "-journal"))
 
 
 def sniff_inside_zstd(source: Source) -> RecordingFormat:

@@ -116,6 +116,7 @@ class CountingSource:
         self._lock = threading.Lock()
         self.name = source.name
         self.size_bytes = source.size_bytes
+        self.path: Path | None = getattr(source, "path", None)
         self.parallel_reads: int = getattr(source, "parallel_reads", 1)
         self.bytes_read = 0
         self.reads = 0

@@ -61,7 +61,7 @@ def scan(forward: Forward) -> RecordingSummary:
         SourceError: the bytes cannot be read.
     """
     head, forward = peek(forward, LONG_HEAD_BYTES)
-    kind = sniff_head(head) if head else RecordingFormat.empty
+    kind = sniff_head(head, path=forward.path) if head else RecordingFormat.empty
     summary = _SCANS[kind](forward) if kind in _SCANS else describe(kind, forward, most_bytes=None)
     summary = replace(_named(summary, forward.name, kind), depth=Depth.scan)
     is_read = kind in _SCANS or kind in DESCRIBED

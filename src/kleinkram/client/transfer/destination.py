@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from kleinkram.client.errors import DestinationRefused, PathsCollide
 from kleinkram.client.transfer._place import check_relative
+from kleinkram.client.transfer.plan import distinct_text
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.runs import ArtifactRead
 
@@ -77,7 +78,9 @@ def plan_artifacts(artifacts: Iterable[ArtifactRead], dest: Path) -> DownloadPla
 
 
 def _collision(target: Target, file: FileRead, other: FileRead, *, nested: bool) -> PathsCollide:
-    collision = PathsCollide(path=str(target.local), first=_place(other), second=_place(file))
+    collision = PathsCollide(
+        path=distinct_text(str(target.local)), first=distinct_text(_place(other)), second=distinct_text(_place(file))
+    )
     if not nested and file.mission.id != other.mission.id:
         collision.remedy = "keep the missions apart with --nested (in the SDK nested=True), or download one at a time"
     return collision

@@ -8,6 +8,7 @@ folders only where they are given themselves. Everything left out is named.
 import os
 import stat
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,23 +71,39 @@ def plan_upload(paths: Iterable[str | os.PathLike[str]], *, include_active: bool
     """Return what uploading these paths means.
 
     Files that are still being recorded are left out unless `include_active`: those whose name ends in `.active`, and
-    those that grow while they are watched for a second (only files modified in the last seconds are).
+    those that grow while they are watched for a second (only files modified in the last seconds are). Of files that
+    would have the same path in the mission, none is uploaded: nobody but their owner can say which is meant.
 
     Raises:
         InvalidInput: a path given does not exist.
-        PathsCollide: two files would have the same path in the mission.
     """
     plan = UploadPlan()
-    found: dict[str, LocalFile] = {}
+    by_key: dict[str, list[LocalFile]] = defaultdict(list)
     for source, path in _walk(paths, plan.left_out):
         file = _judged(source, path, plan.left_out)
-        if file is None:
-            continue
-        if (other := found.setdefault(name_key(file.path), file)) is not file and other.source != file.source:
-            raise PathsCollide(path=file.path, first=str(other.source), second=str(file.source))
-    files = sorted(found.values(), key=lambda file: file.path)
+        if file is not None and all(other.source != file.source for other in by_key[name_key(file.path)]):
+            by_key[name_key(file.path)].append(file)
+    plan.left_out.extend(_collision(alike) for alike in by_key.values() if len(alike) > 1)
+    files = sorted((alike[0] for alike in by_key.values() if len(alike) == 1), key=lambda file: file.path)
     plan.files.extend(files if include_active else _quiet(files, plan.left_out))
     return plan
+
+
+def _collision(alike: list[LocalFile]) -> PathsCollide:
+    """Name files that would have one path, so that they can be told apart though they look the same."""
+    *others, last = [distinct_text(str(file.source)) for file in alike]
+    first = ", ".join(others)
+    return PathsCollide(path=distinct_text(alike[0].path), first=first, second=last, remedy="rename all but one")
+
+
+def distinct_text(text: str) -> str:
+    """Return a text in quotes, with the code points of what is not ASCII: texts that look the same may differ there.
+
+    `'café.txt' (cafe\u0301.txt)`: here the accent is a character of its own.
+    """
+    if text.isascii():
+        return repr(text)
+    return f"{text!r} ({text.encode('ascii', 'backslashreplace').decode()})"
 
 
 def identity_of(status: os.stat_result) -> Identity:

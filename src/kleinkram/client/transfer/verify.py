@@ -20,36 +20,41 @@ _POLL_S = 0.5
 
 
 class Verdict(str, enum.Enum):
-    """What comparing found: `damaged` is a file whose copy in the store is not what was uploaded."""
+    """What comparing found.
+
+    `damaged`: the copy in the store is not what was uploaded. `unreadable`: the local file cannot be read.
+    """
 
     same = "same"
     differs = "differs"
     missing = "missing"
     damaged = "damaged"
+    unreadable = "unreadable"
 
 
 @dataclass(frozen=True)
 class Verified:
-    """What was found of one file."""
+    """What was found of one file. `error`: why it is unreadable."""
 
     path: str
     verdict: Verdict
     size_bytes: int
     sha256: str | None
     file: FileRead | None
+    error: FileUnreadable | None = None
 
 
 def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[Verified]:
-    """Compare the planned local files with the mission's, reading every local byte; in the plan's order.
-
-    Raises:
-        FileUnreadable: a local file cannot be read.
-    """
+    """Compare the planned local files with the mission's, reading every local byte; in the plan's order."""
     there = {name_key(file.path): file for file in files.list(FileFilter(mission_id=mission_id))}
     found = []
     for local in plan.files:
-        sums = _sums(local.source, lambda: None)
         file = there.get(name_key(local.path))
+        try:
+            sums = _sums(local.source, lambda: None)
+        except FileUnreadable as error:
+            found.append(Verified(local.path, Verdict.unreadable, local.size_bytes, None, file, error))
+            continue
         found.append(
             Verified(local.path, _judge(file, local.size_bytes, sums), local.size_bytes, sums.sha256.hexdigest(), file)
         )

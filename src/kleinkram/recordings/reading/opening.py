@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -11,8 +11,9 @@ from typing import Protocol, runtime_checkable
 
 from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.folder import read_folder, recording_of_metadata
 from kleinkram.recordings.forward import SourceForward
-from kleinkram.recordings.grouping import METADATA_NAME, group
+from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup
 from kleinkram.recordings.model import RecordingFormat
 from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
@@ -20,8 +21,10 @@ from kleinkram.recordings.reading.member import Member, check_cost, open_bag, op
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.recovered_member import open_recovered
 from kleinkram.recordings.rosbag2.comparing import compare_names
+from kleinkram.recordings.rosbag2.folder import combine_folder
+from kleinkram.recordings.rosbag2.leftovers import LOG_SUFFIXES, find_leftovers, not_read, replay, replayed_copy
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
-from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
+from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_database
 from kleinkram.recordings.sniffing import sniff
 from kleinkram.recordings.sources import FileSource, Source
 
@@ -72,10 +75,11 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
     with ExitStack() as stack:
         name, files = _files_of(what, stack)
         metadata = _metadata_of(files, noticed)
-        data = [file for file in files if file.base_name != METADATA_NAME]
+        data = [file for file in files if file.base_name != METADATA_NAME and not file.is_log]
         if not data:
-            raise NotARecording(name, "there is no recording in it")
-        opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes)
+            raise NotARecording(name, _why_nothing(metadata))
+        logs = {file.source.name: file.source for file in files if file.is_log}
+        opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes, logs)
         members = tuple(opener.open(file) for file in data)
         return Opened(name, members, stack.pop_all())
 
@@ -91,6 +95,11 @@ class _File:
     def base_name(self) -> str:
         return PurePosixPath(self.source.name).name
 
+    @property
+    def is_log(self) -> bool:
+        """Whether it is the log or journal of a database."""
+        return self.source.name.endswith(LOG_SUFFIXES)
+
 
 @dataclass(frozen=True)
 class _Opener:
@@ -100,9 +109,12 @@ class _Opener:
     noticed: Noticed
     stack: ExitStack
     most_bytes: int | None
+    logs: Mapping[str, Source]
 
     def open(self, file: _File) -> Member:
         kind, most = sniff(file.source), self._most_bytes(file.source)
+        if kind is RecordingFormat.unknown and self._logs_of(file):
+            kind = RecordingFormat.rosbag2_db3
         if kind is RecordingFormat.mcap:
             compression = self.message_compression
             return open_mcap(file.source, self.noticed, message_compression=compression, most_bytes=most)
@@ -130,13 +142,33 @@ class _Opener:
 
     def _open_database(self, file: _File) -> Member:
         name = file.source.name
-        path = file.path or self._copy(SourceForward(file.source).read, name)
+        path = self._whole_database(file)
         compression = self.message_compression
 
         def recover() -> Member:
             return open_recovered(path, name, self.noticed, self.stack, message_compression=compression)
 
         return DatabaseMember(path, name, self.noticed, recover, message_compression=compression)
+
+    def _whole_database(self, file: _File) -> Path:
+        """Return where a database can be read with what its log and journal hold, if there are any."""
+        if file.path is not None:
+            left = find_leftovers(file.path, file.base_name)
+            copy = self.stack.enter_context(replayed_copy(file.path)) if left else None
+            is_applied = copy is not None
+            path = copy or file.path
+        else:
+            path = self._copy(SourceForward(file.source).read, file.source.name, self._logs_of(file))
+            left = find_leftovers(path, file.base_name)
+            is_applied = bool(left) and replay(path)
+        for problem in [*left, *([] if is_applied else not_read(left))]:
+            self.noticed.add(problem.code, problem.where, problem.message)
+        return path
+
+    def _logs_of(self, file: _File) -> dict[str, Source]:
+        """Return the log and journal that were given beside a database, by their suffixes."""
+        names = {suffix: f"{file.source.name}{suffix}" for suffix in LOG_SUFFIXES}
+        return {suffix: self.logs[name] for suffix, name in names.items() if name in self.logs}
 
     def _unpack(self, source: Source) -> _File:
         """Decompress a file that is compressed as a whole; if that is damaged, up to there."""
@@ -156,9 +188,10 @@ class _Opener:
             raise NotARecording(source.name, "it is compressed more than once")
         return _File(unpacked, path)
 
-    def _copy(self, read: Callable[[int], bytes], name: str) -> Path:
+    def _copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
+        reads = {suffix: SourceForward(log).read for suffix, log in (logs or {}).items()}
         try:
-            return self.stack.enter_context(temporary_copy(read))
+            return self.stack.enter_context(temporary_database(read, reads))
         except TooLarge as error:
             raise SourceError(f"{name}: {error}") from error
 
@@ -183,20 +216,31 @@ def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[_File]]:
 
 def _paths_of(path: Path) -> list[Path]:
     if path.is_file() and path.name == METADATA_NAME:
-        path = path.parent
+        own = recording_of_metadata(path)
+        if own is None:
+            return [path]
+        return _paths_in(path.parent, own[1])
     if not path.is_dir():
         if not path.exists():
             raise FileNotFoundError(f"{path}: there is no such file or folder")
         return [path]
-    names = [found.relative_to(path).as_posix() for found in path.rglob("*") if found.is_file()]
-    groups = group(names)
+    groups = read_folder(path).groups
     if not groups:
-        raise NotARecording(str(path), "there is no recording in it")
+        raise NotARecording(str(path), _why_nothing(None))
     if len(groups) > 1:
         raise SeveralRecordings(str(path), [str(path / found.name) for found in groups])
-    (found,) = groups
+    return _paths_in(path, groups[0])
+
+
+def _paths_in(folder: Path, found: RecordingGroup) -> list[Path]:
     metadata = [found.metadata_path] if found.metadata_path else []
-    return [path / name for name in [*metadata, *found.members]]
+    return [folder / name for name in [*metadata, *found.members]]
+
+
+def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
+    if metadata is None or not metadata.files:
+        return "there is no recording in it"
+    return combine_folder(metadata, (), ()).reason or ""
 
 
 def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | None:

@@ -20,7 +20,7 @@ from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.rosbag2 import database as db
 from kleinkram.recordings.rosbag2.database import MessageRow, Origin, TopicRow
-from kleinkram.recordings.rosbag2.leftovers import find_leftovers
+from kleinkram.recordings.rosbag2.leftovers import find_leftovers, not_read, replay, replayed_copy
 from kleinkram.recordings.rosbag2.recovery import Recovered, Recovery
 from kleinkram.recordings.rosbag2.spool import TooLarge, database_file
 from kleinkram.recordings.timeline import Timeline
@@ -33,23 +33,46 @@ _SCHEMA_ENCODING = ""
 def scan_db3(forward: Forward, *, depth: Depth = Depth.scan) -> RecordingSummary:
     """Read a whole database: in place where it is a local file, else through a temporary copy.
 
-    `Depth.summary` leaves out the check of every page, and does not read the pages of large messages.
+    Where a local file has a log or a journal beside it that holds something it does not, a copy is read to which
+    SQLite applied them. `Depth.summary` leaves out the check of every page, and does not read the pages of large
+    messages.
 
     Raises:
         SourceError: as `Forward.read`, or the temporary copy cannot be written.
     """
+    left = find_leftovers(forward.path, forward.name) if forward.path is not None else []
     try:
+        if forward.path is not None and left:
+            with replayed_copy(forward.path) as copy:
+                summary = _read(copy or forward.path, forward.name, depth)
+            return _killed(summary, left, is_applied=copy is not None)
         with database_file(forward) as path:
-            summary = _read(path, forward.name, depth)
+            return _read(path, forward.name, depth)
     except TooLarge as error:
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
-    left = find_leftovers(forward.path) if forward.path is not None else []
-    if not left:
-        return summary
+
+
+def scan_with_logs(copy: Path, name: str) -> RecordingSummary:
+    """Read a database, a temporary copy with its log or journal beside it, of which SQLite makes one file.
+
+    Raises:
+        SourceError: one of them cannot be read.
+    """
+    left = find_leftovers(copy, name)
+    is_applied = bool(left) and replay(copy)
+    summary = _read(copy, name, Depth.scan)
+    return _killed(summary, left, is_applied=is_applied) if left else summary
+
+
+def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: bool) -> RecordingSummary:
+    """Say of a summary that the recorder was killed, and whether what it left beside the database was read too."""
     content = Content.recovered if summary.content is Content.indexed else summary.content
     reason = summary.reason or left[0].message
     lost = summary.lost or Lost(0, 0, None)
-    return replace(summary, content=content, reason=reason, problems=bounded([*left, *summary.problems]), lost=lost)
+    unread = [] if is_applied else not_read(left)
+    return replace(
+        summary, content=content, reason=reason, problems=bounded([*left, *unread, *summary.problems]), lost=lost
+    )
 
 
 class _Tally:

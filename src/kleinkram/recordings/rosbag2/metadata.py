@@ -116,7 +116,7 @@ def _topic(entry: Mapping[object, object]) -> StatedTopic:
 
 def _file(entry: Mapping[object, object]) -> StatedFile:
     return StatedFile(
-        path=_text(entry.get("path")),
+        path=_path(entry.get("path")),
         message_count=_number(entry.get("message_count")),
         start_ns=_nanoseconds(entry, "starting_time", "nanoseconds_since_epoch"),
         duration_ns=_nanoseconds(entry, "duration", "nanoseconds"),
@@ -126,8 +126,13 @@ def _file(entry: Mapping[object, object]) -> StatedFile:
 def _files(top: Mapping[object, object]) -> tuple[str, ...]:
     paths = top.get("relative_file_paths")
     if isinstance(paths, list):
-        return tuple(path for entry in paths[:_MOST_ENTRIES] if (path := _text(entry)))
-    return tuple(path for entry in _entries(top, "files") if (path := _text(entry.get("path"))))
+        return tuple(path for entry in paths[:_MOST_ENTRIES] if (path := _path(entry)))
+    return tuple(path for entry in _entries(top, "files") if (path := _path(entry.get("path"))))
+
+
+def _path(value: object) -> str:
+    """Return a path as POSIX writes it: recorders on Windows write backslashes."""
+    return _text(value).replace("\\", "/")
 
 
 def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, object]]:

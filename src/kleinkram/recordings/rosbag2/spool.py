@@ -11,8 +11,8 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from kleinkram.recordings.errors import RecordingError, SourceError
@@ -51,8 +51,29 @@ def database_file(forward: Forward, *, most_bytes: int = MAX_SPOOL_BYTES) -> Ite
 
 
 @contextmanager
-def temporary_copy(read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
+def temporary_database(
+    read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
+) -> Iterator[Path]:
+    """Write a database and, by their suffixes, its log and journal into temporary files; give the database's path.
+
+    Raises:
+        TooLarge: one has more than `most_bytes`, or the disk has too little space for it.
+        SourceError: one cannot be read, or the copy cannot be written.
+    """
+    with ExitStack() as stack:
+        path = stack.enter_context(temporary_copy(read, most_bytes=most_bytes))
+        for suffix, read_log in logs.items():
+            stack.enter_context(temporary_copy(read_log, most_bytes=most_bytes, beside=(path, suffix)))
+        yield path
+
+
+@contextmanager
+def temporary_copy(
+    read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
+) -> Iterator[Path]:
     """Write all that `read` returns until it returns b"" into a temporary file, which is gone afterwards.
+
+    `beside`: the path of another one, and what is appended to it.
 
     Raises:
         TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
@@ -60,7 +81,11 @@ def temporary_copy(read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_
     """
     folder = Path(tempfile.gettempdir())
     _sweep(folder)
-    descriptor, name = tempfile.mkstemp(prefix=_PREFIX, dir=folder)
+    if beside is None:
+        descriptor, name = tempfile.mkstemp(prefix=_PREFIX, dir=folder)
+    else:
+        name = f"{beside[0]}{beside[1]}"
+        descriptor = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     path = Path(name)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
