@@ -12,7 +12,7 @@ from kleinkram.cli.filters import Choice, Many, select_files, with_choice
 from kleinkram.cli.options import AsJson, Connections, DryRun, LimitRate
 from kleinkram.cli.render import note, show_json, table
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
-from kleinkram.cli.units import parse_rate, size
+from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.transfer import DownloadPlan, plan_download
 from kleinkram.client.transfer.download import CONNECTIONS
@@ -86,4 +86,4 @@ def _show_plan(plan: DownloadPlan, as_json: bool) -> None:
         return
     rows = [(target.file.path, size(target.file.size_bytes), str(target.local)) for target in plan.targets]
     table(["path", "size", "to"], rows)
-    note(f"Would download {len(plan.targets)} files, {size(plan.size_bytes)}.")
+    note(f"Would download {count(len(plan.targets), 'file')}, {size(plan.size_bytes)}.")

@@ -10,7 +10,7 @@ from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_
 from kleinkram.cli.mission_view import show_topics
 from kleinkram.cli.options import AsJson, DryRun, Limit, MissionOption, ProjectOption, Yes, confirm
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import instant, size, span
+from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
@@ -112,7 +112,7 @@ def label(
             raise NothingToDo(reason="No file matches")
         if dry_run:
             show_json_list(found) if as_json else show_found(found)
-            note(f"Would label {len(found)} files")
+            note(f"Would label {count(len(found), 'file')}")
             return
         done = [*client.files.label([file.id for file in found], add=add or [], remove=remove or [])]
     if as_json:
@@ -125,7 +125,7 @@ def _say_labelled(found: list[FileRead], done: list[FileLabelled]) -> None:
     for file, each in zip(found, done, strict=True):
         if each.problem is not None:
             note(f"{file_label(file)}: {each.problem.detail}")
-    note(f"Labelled {len(done) - len(failures)} files")
+    note(f"Labelled {count(len(done) - len(failures), 'file')}")
     if code := exit_code_of(failures):
         raise typer.Exit(code)
 
@@ -149,17 +149,17 @@ def delete(
             said = client.files.delete(file.id, dry_run=True)
             if said.made_from_it:
                 made = ", ".join(map(escape, said.made_from_it))
-                note(f"{file_label(file)} was read by {said.read_by_runs} runs; of it came {made}, which stay")
+                note(f"{file_label(file)} was read by {count(said.read_by_runs, 'run')}; of it came {made}, which stay")
         if not dry_run:
             show_found(found, to_stderr=True)
-            confirm(f"Move these {len(found)} files, {size(total)}, to the trash?", yes)
+            confirm(f"Move {count(len(found), 'file')}, {size(total)}, to the trash?", yes)
             for file in found:
                 client.files.delete(file.id)
     if as_json:
         show_json({"files": len(found), "size_bytes": total, "dry_run": dry_run, "items": found})
     elif dry_run:
         show_found(found)
-    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {len(found)} files, {size(total)}")
+    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count(len(found), 'file')}, {size(total)}")
 
 
 def show_found(files: list[FileRead], *, to_stderr: bool = False) -> None:
@@ -215,5 +215,5 @@ def _show(file: FileRead) -> None:
 
 
 def _loss(lost: FileLoss) -> str:
-    messages = "an unknown number of" if lost.messages is None else f"{lost.messages}"
-    return f"{messages} messages, {size(lost.bytes)} in {lost.chunks} chunks"
+    messages = "an unknown number of messages" if lost.messages is None else count(lost.messages, "message")
+    return f"{messages}, {size(lost.bytes)} in {count(lost.chunks, 'chunk')}"

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from kleinkram.cli.render import details, escape, line, table
-from kleinkram.cli.units import duration, instant, rate, size, span
+from kleinkram.cli.units import count, duration, instant, rate, size, span
 from kleinkram.recordings.inspect import Inspection
 from kleinkram.recordings.model import (
     Content,
@@ -71,7 +71,7 @@ def _lost(summary: RecordingSummary) -> str | None:
         return "nothing"
     # A database has pages where others have chunks.
     piece = "page" if summary.format is RecordingFormat.rosbag2_db3 else "chunk"
-    parts = [f"{lost.messages} messages" if lost.messages is not None else "messages, nobody knows how many"]
+    parts = [count(lost.messages, "message") if lost.messages is not None else "messages, nobody knows how many"]
     if lost.chunks:
         parts.append(f"{lost.chunks} {piece}{'' if lost.chunks == 1 else 's'}")
     if lost.bytes:

@@ -14,6 +14,7 @@ from kleinkram.cli.following import follow, heading, last_word
 from kleinkram.cli.options import AsJson, DryRun, ProjectOption, Yes, confirm
 from kleinkram.cli.render import note, show_json
 from kleinkram.cli.run_view import mission_name, show_results, show_runs
+from kleinkram.cli.units import count
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.manifest import read_manifest
@@ -77,7 +78,7 @@ def run(
                 show_json({"dry_run": True, "missions": found, "parameters": values})
             return
         if not missions and len(found) > 1:
-            confirm(f"Run {action} on these {len(found)} missions: {names}?", yes)
+            confirm(f"Run {action} on {count(len(found), 'mission')}: {names}?", yes)
         outcomes = client.runs.launch(
             wanted.action.id if wanted.action else wanted.definition,
             [each.id for each in found],

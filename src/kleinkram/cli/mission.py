@@ -21,7 +21,7 @@ from kleinkram.cli.options import (
     the_ref,
 )
 from kleinkram.cli.render import line, note, show_json, show_json_list
-from kleinkram.cli.units import size
+from kleinkram.cli.units import count, size
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.references import is_glob
@@ -173,7 +173,7 @@ def delete(
     with connect() as client:
         found = client.missions.get(the_ref("mission", name, mission), project=project)
         would = client.missions.delete(found.id, dry_run=True)
-        what = f"{found.project.name}/{found.name}: {would.files} files, {size(would.size_bytes)}"
+        what = f"{found.project.name}/{found.name}: {count(would.files, 'file')}, {size(would.size_bytes)}"
         if not dry_run:
             confirm(f"Move to the trash {what}?", yes)
             would = client.missions.delete(found.id)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from kleinkram.cli.render import details, line, show_json, table
-from kleinkram.cli.units import duration, instant, rate, size, span
+from kleinkram.cli.units import count, duration, instant, rate, size, span
 from kleinkram.client import Client
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionRead
@@ -24,7 +24,7 @@ def show_mission(mission: MissionRead) -> None:
             ("span", span(mission.start_ns, mission.end_ns)),
             ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
             ("messages", mission.message_count),
-            ("not read yet", f"{mission.pending_file_count} files" if mission.pending_file_count else None),
+            ("not read yet", count(mission.pending_file_count, "file") if mission.pending_file_count else None),
             ("edition", mission.edition),
             ("notes", mission.notes),
             *((f"  {name}", _value(value)) for name, value in mission.metadata.items()),

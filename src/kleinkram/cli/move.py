@@ -10,6 +10,7 @@ from kleinkram.cli.file import show_found
 from kleinkram.cli.filters import Choice, Many, select_files
 from kleinkram.cli.options import AsJson, DryRun, MissionOption, ProjectOption, the_ref
 from kleinkram.cli.render import escape, note, show_json
+from kleinkram.cli.units import count
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 
@@ -92,4 +93,4 @@ def _move_files(
     elif dry_run:
         show_found(found)
     place = escape(f"{target.project.name}/{target.name}")
-    note(f"{'Would move' if dry_run else 'Moved'} {len(found)} files to {place}.")
+    note(f"{'Would move' if dry_run else 'Moved'} {count(len(found), 'file')} to {place}.")

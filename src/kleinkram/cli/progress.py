@@ -18,6 +18,7 @@ from rich.progress import (
 )
 
 from kleinkram.cli.render import escape, note
+from kleinkram.cli.units import count
 from kleinkram.client.transfer import Watcher
 
 
@@ -72,7 +73,7 @@ class Bars:
 
     def began(self, files: int, size_bytes: int) -> None:
         """Show the bar for the whole."""
-        self._whole = self.progress.add_task(f"{files} files", total=size_bytes)
+        self._whole = self.progress.add_task(count(files, "file"), total=size_bytes)
 
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Move the bars on."""

@@ -8,7 +8,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, DryRun, IfEdition, Limit, ProjectOption, Yes, confirm, read_text, the_ref
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import duration, parse_size, size
+from kleinkram.cli.units import count, duration, parse_size, size
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
@@ -128,7 +128,9 @@ def delete(
     with connect() as client:
         found = client.projects.get(the_ref("project", name, project))
         would = client.projects.delete(found.id, dry_run=True)
-        what = f"{found.name}: {would.missions} missions, {would.files} files, {size(would.size_bytes)}"
+        what = (
+            f"{found.name}: {count(would.missions, 'mission')}, {count(would.files, 'file')}, {size(would.size_bytes)}"
+        )
         if not dry_run:
             confirm(f"Move to the trash {what}?", yes)
             would = client.projects.delete(found.id)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from kleinkram.cli.render import details, line, note, table
-from kleinkram.cli.units import duration, instant, size
+from kleinkram.cli.units import count, duration, instant, size
 from kleinkram.contract.reports import Finding, Metric
 from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
 
@@ -82,7 +82,7 @@ def show_run(run: RunDetail) -> None:
             ("runner", run.runner),
             ("image", run.image_digest),
             ("network", run.network.value),
-            ("inputs", f"{run.input_count} files, {size(run.input_bytes)}"),
+            ("inputs", f"{count(run.input_count, 'file')}, {size(run.input_bytes)}"),
             *((f"  {name}", value) for name, value in run.parameters.items()),
             ("used", usage and f"{usage.cpu_s:.1f} s of cores, {size(usage.peak_memory_bytes)} of memory at most"),
             ("artifacts", _counts(run)[2]),

@@ -7,7 +7,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption, Until, the_ref
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import ending, in_days, size
+from kleinkram.cli.units import count, ending, in_days, size
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.names import is_id
 
@@ -55,7 +55,7 @@ def create(
         show_json(made)
         return
     line(made.url)
-    what = "all of" if file_ids is None else f"{len(file_ids)} files of"
+    what = "all of" if file_ids is None else f"{count(len(file_ids), 'file')} of"
     note(
         f"Keep it now: nobody can show it again. It shows {what} {escape(place.name)} until "
         f"{made.share.expires_at:%Y-%m-%d %H:%M}Z; `klein share revoke {made.share.prefix}` ends it."

@@ -21,7 +21,7 @@ from kleinkram.cli.options import (
 )
 from kleinkram.cli.render import note, show_json, table
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
-from kleinkram.cli.units import parse_rate, size
+from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client
 from kleinkram.client.errors import NothingToDo, TimedOut
 from kleinkram.client.transfer import UploadPlan, plan_upload
@@ -101,7 +101,7 @@ def _show_plan(plan: UploadPlan, as_json: bool) -> None:
         show_json({"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]})
         return
     table(["path", "size", "from"], [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files])
-    note(f"Would upload {len(plan.files)} files, {size(plan.size_bytes)}.")
+    note(f"Would upload {count(len(plan.files), 'file')}, {size(plan.size_bytes)}.")
 
 
 def _transfer(
@@ -141,5 +141,5 @@ def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -
         if mission.pending_file_count == 0 and mission.recordings_current:
             return
         if time.monotonic() > deadline:
-            raise TimedOut(what=f"Reading {mission.pending_file_count} files", seconds=seconds)
+            raise TimedOut(what=f"Reading {count(mission.pending_file_count, 'file')}", seconds=seconds)
         time.sleep(_POLL_S)

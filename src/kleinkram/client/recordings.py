@@ -68,7 +68,10 @@ class Recordings:
         from kleinkram.recordings.reading import Recording  # only who reads pays for importing it
 
         found = self._find(what, mission, project)
-        ids = [found.id] if isinstance(found, FileRead) else [*self._metadata_of(found), *found.file_ids]
+        if isinstance(found, FileRead):
+            ids = [found.id, *self._logs_of(found.mission.id, [found.path])]
+        else:
+            ids = [*self._metadata_of(found), *found.file_ids, *self._logs_of(found.mission.id, found.paths)]
         return Recording.open(RemoteFiles(Files(self._api), ids), most_bytes=most_bytes)
 
     def _find(
@@ -100,6 +103,14 @@ class Recordings:
         path = f"{folder}/{_METADATA}" if folder else _METADATA
         matching = FileFilter(mission_id=recording.mission.id, path=[path])
         return [file.id for file in Files(self._api).list(matching) if file.path == path]
+
+    def _logs_of(self, mission_id: uuid.UUID, paths: Sequence[str]) -> Sequence[uuid.UUID]:
+        """Return the ids of the logs and journals beside databases: they hold what a killed recorder wrote last."""
+        wanted = [f"{path}{suffix}" for path in paths if path.endswith(".db3") for suffix in ("-wal", "-journal")]
+        if not wanted:
+            return []
+        matching = FileFilter(mission_id=mission_id, path=wanted)
+        return [file.id for file in Files(self._api).list(matching) if file.path in wanted and file.size_bytes]
 
 
 def _label(recording: RecordingRead) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_PROBLEMS
-from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary, counted
 from kleinkram.recordings.oddities import gathered, name_oddities
 from kleinkram.recordings.tally import Lateness
 from kleinkram.recordings.timeline import Jump, Run, Timeline, TopicTimes, bulk, within
@@ -97,9 +97,8 @@ def rate_hz(count: int, first_ns: int, last_ns: int) -> float | None:
 def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: TopicTimes) -> list[Problem]:
     problems: list[Problem] = []
     if topic.suspect_count:
-        message = (
-            f"{topic.suspect_count} messages are stamped more than a year away from the rest; left out of the span"
-        )
+        message = f"{counted(topic.suspect_count, 'message is', 'messages are')} stamped more than a year away from the rest; "
+            "left out of the span"
         problems.append(Problem("suspect-stamps", topic.name, message))
     if times.gaps_are_upper_bounds:
         message = (
@@ -144,7 +143,7 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
     for topic, late in sorted(lateness.items()):
         median_s, largest_s = sorted(late.sample)[len(late.sample) // 2] / 1e9, late.largest_ns / 1e9
         message = (
-            f"{late.count} messages were logged more than 1 s away from their publish time: "
+            f"{counted(late.count, 'message was', 'messages were')} logged more than 1 s away from their publish time: "
             f"typically {median_s:+.1f} s, at most {largest_s:+.1f} s"
         )
         problems.append(Problem("publish-time-differs", topic, message))
@@ -167,7 +166,7 @@ def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
 
 def tell_readable(messages: int, lost: Lost | None) -> str:
     """Say what can be read of a damaged file, and what is lost."""
-    readable = f"{messages} messages can be read" if messages != 1 else "1 message can be read"
+    readable = f"{counted(messages, 'message')} can be read"
     if lost is None:
         return readable
     if lost == Lost(0, 0, 0):
@@ -176,8 +175,8 @@ def tell_readable(messages: int, lost: Lost | None) -> str:
         return f"{readable}; whether more was recorded is not known"
     parts = [f"{lost.bytes} bytes"]
     if lost.chunks:
-        parts.insert(0, f"{lost.chunks} chunks" if lost.chunks > 1 else "1 chunk")
-    parts.append("how many messages is not known" if lost.messages is None else f"{lost.messages} messages")
+        parts.insert(0, counted(lost.chunks, "chunk"))
+    parts.append("how many messages is not known" if lost.messages is None else counted(lost.messages, "message"))
     return f"{readable}; lost: {', '.join(parts)}"
 
 
@@ -185,7 +184,7 @@ def tell_damage(damage: Sequence[Malformed]) -> str:
     """Say where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
     first = damage[0]
     place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
-    more = f" (and {len(damage) - 1} more damaged places)" if len(damage) > 1 else ""
+    more = f" (and {counted(len(damage) - 1, 'more damaged place')})" if len(damage) > 1 else ""
     return f"{place}: {first.message}{more}"
 
 
@@ -194,4 +193,7 @@ def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:
     if len(problems) <= MAX_PROBLEMS:
         return tuple(problems)
     left_out = len(problems) - MAX_PROBLEMS + 1
-    return (*problems[: MAX_PROBLEMS - 1], Problem("more-problems", "file", f"{left_out} more problems are not listed"))
+    return (
+        *problems[: MAX_PROBLEMS - 1],
+        Problem("more-problems", "file", f"{counted(left_out, 'more problem is', 'more problems are')} not listed"),
+    )

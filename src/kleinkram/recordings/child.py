@@ -25,7 +25,7 @@ from kleinkram.recordings.model import Depth, RecordingSummary
 from kleinkram.recordings.rosbag2.metadata import parse_rosbag2_metadata
 from kleinkram.recordings.serialise import to_dict
 from kleinkram.recordings.sources import FileSource, Source
-from kleinkram.recordings.summary import scan, summarise
+from kleinkram.recordings.summary import scan, scan_with_logs, summarise
 
 STACK_BYTES = 512 * 1024
 
@@ -61,6 +61,8 @@ def _read(request: dict[str, Any]) -> RecordingSummary:
             while forward.read(WINDOW):
                 pass
     source = _open(request)
+    if request.get("logs"):
+        return scan_with_logs(source, _open_logs(request))
     if request["depth"] == Depth.scan.value:
         return scan(from_source(source))
     return summarise(source, most_bytes=request["most_bytes"])
@@ -82,6 +84,15 @@ def _open(request: dict[str, Any]) -> Source:
     from kleinkram.recordings.http_source import HttpSource  # urllib3 only where it is needed
 
     return HttpSource(request["url"], size_bytes=request["size_bytes"], name=request["name"])
+
+
+def _open_logs(request: dict[str, Any]) -> dict[str, Source]:
+    from kleinkram.recordings.http_source import HttpSource
+
+    return {
+        suffix: HttpSource(url, size_bytes=size_bytes, name=f"{request['name']}{suffix}")
+        for suffix, (url, size_bytes) in request["logs"].items()
+    }
 
 
 if __name__ == "__main__":

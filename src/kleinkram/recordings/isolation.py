@@ -12,7 +12,8 @@ import json
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from kleinkram.recordings.errors import FailureKind, SummaryFailed
@@ -46,11 +47,16 @@ class FileRequest:
 
 @dataclass(frozen=True)
 class UrlRequest:
-    """Read the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension."""
+    """Read the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension.
+
+    `logs`: of a database whose recorder was killed, URL and size of what lies beside it, by suffix ("-wal",
+    "-journal"). Then the database is read whole, whatever depth and size were asked for.
+    """
 
     url: str
     size_bytes: int
     name: str
+    logs: Mapping[str, tuple[str, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

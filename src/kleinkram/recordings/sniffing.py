@@ -92,6 +92,11 @@ def sniff_head(head: bytes, *, path: Path | None = None) -> RecordingFormat:
     return _sniff_text(head[:HEAD_BYTES])
 
 
+def is_database(head: bytes) -> bool:
+    """Say by its first bytes whether a file is an SQLite database, of whatever content."""
+    return head.startswith(_SQLITE_MAGIC)
+
+
 def is_database_in_log(head: bytes, path: Path | None) -> bool:
     """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
 

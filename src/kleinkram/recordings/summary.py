@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from kleinkram.recordings.assemble import bounded, pending
@@ -13,11 +13,14 @@ from kleinkram.recordings.mcap.summary import scan_mcap, summarise_mcap
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.other.describe import DESCRIBED, MAX_DESCRIBED_BYTES, describe
 from kleinkram.recordings.other.svo2 import as_svo2
-from kleinkram.recordings.rosbag2.db3 import scan_db3
+from kleinkram.recordings.rosbag2.db3 import scan_copy, scan_db3
+from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_database
 from kleinkram.recordings.sniffing import (
+    HEAD_BYTES,
     LONG_HEAD_BYTES,
     RECORDINGS,
     extension_lies,
+    is_database,
     sniff,
     sniff_head,
     sniff_inside_zstd,
@@ -66,6 +69,25 @@ def scan(forward: Forward) -> RecordingSummary:
     summary = replace(_named(summary, forward.name, kind), depth=Depth.scan)
     is_read = kind in _SCANS or kind in DESCRIBED
     return replace(summary, bytes_read=max(summary.bytes_read, forward.size_bytes if is_read else len(head)))
+
+
+def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSummary:
+    """Scan a database of rosbag2 with its log and journal, by their suffixes, through temporary copies.
+
+    Anything else is scanned without them.
+
+    Raises:
+        SourceError: the bytes cannot be read, or the copies cannot be written.
+    """
+    if not is_database(source.read(0, min(HEAD_BYTES, source.size_bytes))):
+        return scan(from_source(source))
+    reads = {suffix: from_source(log).read for suffix, log in logs.items()}
+    try:
+        with temporary_database(from_source(source).read, reads) as copy:
+            summary = scan_copy(copy, source.name)
+    except TooLarge as error:
+        return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
+    return replace(summary, bytes_read=source.size_bytes + sum(log.size_bytes for log in logs.values()))
 
 
 def _without_index(source: Source, counting: Source, kind: RecordingFormat, most_bytes: int) -> RecordingSummary:

@@ -299,3 +299,10 @@ def test_a_template_is_a_form_too(api: Api) -> None:
     values = api.get(f"/projects/{project_id}/template").ok()["values"]
     assert values == {"robot": "spot", "operator": "ada", "temperature": 12.5}
     api.mission(project_id, metadata=values)
+
+
+@pytest.mark.parametrize("text", ["robot: spot\r\n# noted by hand\r\nsite: a\r\n", "\ufeffrobot: spot\n"])
+def test_metadata_are_kept_to_the_letter(api: Api, text: str) -> None:
+    made = api.mission(api.project()["id"], metadata_yaml=text)
+    assert made["metadata_yaml"] == text
+    assert made["metadata"]["robot"] == "spot"

@@ -9,6 +9,7 @@ import pytest
 
 from kleinkram.cli import main as entry
 from kleinkram.cli.inspect_view import show
+from kleinkram.cli.options import read_text
 from kleinkram.recordings import Content, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.inspect import Inspection, InspectionKind
 from kleinkram.recordings.sample import SampleFormat, generate_mission
@@ -83,3 +84,22 @@ def test_losses_and_problems_in_plain_words(capsys: pytest.CaptureFixture[str]) 
     assert "To know:" in shown
     assert "\x1b" not in shown
     assert "\x07" not in shown
+
+
+def test_a_text_given_as_a_file_is_read_to_the_letter(tmp_path: Path) -> None:
+    text = "\ufeffcountry: CH\r\nserial: 8\r\n"
+    (tmp_path / "mission.yaml").write_bytes(text.encode())
+    assert read_text(tmp_path / "mission.yaml") == text
+
+
+def test_a_file_that_cannot_be_read_is_named_and_the_others_are_shown(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (drive.parent / "gone.mcap").symlink_to(drive.parent / "nowhere")
+    assert run(monkeypatch, drive.parent) == 8
+    told = capsys.readouterr()
+    assert "indexed (whole)" in told.out
+    assert "gone.mcap: cannot be read" in told.err
+    assert run(monkeypatch, "--json", drive.parent) == 8
+    shown = {Path(each["path"]).name: each["content"] for each in json.loads(capsys.readouterr().out)["items"]}
+    assert shown == {"drive.mcap": "indexed", "gone.mcap": "error"}

@@ -72,7 +72,7 @@ def test_many_missions_are_asked_about_first() -> None:
         ran = klein(script, "action", "run", "look", "--query", "alps")
     assert isinstance(ran.exception, Refused)
     assert len(script.asked) == 2
-    assert "Run look on these 2 missions: alps/day, alps/dusk?" in ran.stderr
+    assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
     with scripted(page(*several), page(action_read("look")), RunsMade(items=[])) as script:
         klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
     assert script.asked[2].body["mission_ids"] == [str(each.id) for each in several]

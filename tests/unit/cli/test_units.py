@@ -67,3 +67,13 @@ def test_instants_are_utc_to_the_millisecond() -> None:
     assert units.instant(1_777_593_600_123_999_999) == "2026-05-01T00:00:00.123Z"
     assert units.instant(10**30) == f"{10**30} ns"
     assert units.instant(None) is None
+
+
+def test_one_is_not_written_as_several() -> None:
+    assert [units.count(number, "file") for number in (0, 1, 2, 1200)] == [
+        "0 files",
+        "1 file",
+        "2 files",
+        "1,200 files",
+    ]
+    assert [units.count(number, "entry", "entries") for number in (1, 2)] == ["1 entry", "2 entries"]

@@ -2,6 +2,7 @@
 
 import os
 import threading
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -51,12 +52,23 @@ def test_a_file_given_twice_is_one(day: Path) -> None:
 
 
 @pytest.mark.parametrize("other", ["cam.mcap", "CAM.mcap"])
-def test_two_files_for_one_path_name_both(day: Path, tmp_path: Path, other: str) -> None:
-    second = old_file(tmp_path / "other" / other)
-    with pytest.raises(PathsCollide) as caught:
-        plan_upload([day / "cam.mcap", second])
-    assert str(day / "cam.mcap") in str(caught.value)
-    assert str(second) in str(caught.value)
+def test_of_files_for_one_path_none_goes_and_all_are_named(day: Path, tmp_path: Path, other: str) -> None:
+    second, third = old_file(tmp_path / "other" / other), old_file(tmp_path / "other" / "third.mcap")
+    plan = plan_upload([day / "cam.mcap", second, third])
+    assert [file.path for file in plan.files] == ["third.mcap"]
+    (collision,) = plan.left_out
+    assert isinstance(collision, PathsCollide)
+    assert all(str(path) in str(collision) for path in (day / "cam.mcap", second))
+
+
+def test_names_that_look_the_same_are_told_by_their_code_points(tmp_path: Path) -> None:
+    for form in ("NFC", "NFD"):
+        old_file(tmp_path / "names" / unicodedata.normalize(form, "caf\u00e9.txt"))
+    old_file(tmp_path / "names" / "other.txt")
+    plan = plan_upload([tmp_path / "names"])
+    assert [file.path for file in plan.files] == ["names/other.txt"]
+    (collision,) = plan.left_out
+    assert all(text in str(collision) for text in ("caf\\xe9.txt", "cafe\\u0301.txt"))
 
 
 def test_what_is_no_file_is_named_and_left_out(day: Path) -> None:

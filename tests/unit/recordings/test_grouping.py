@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import GroupKind, RecordingGroup, Rosbag2Metadata, group, parse_rosbag2_metadata
+from kleinkram.recordings import (
+    GroupKind,
+    MemberFacts,
+    RecordingGroup,
+    Rosbag2Metadata,
+    compare_metadata,
+    group,
+    parse_rosbag2_metadata,
+)
 
 from .corpus import Entry, params
 
@@ -157,3 +165,49 @@ def test_recordings_of_cameras_are_recordings() -> None:
         ("a.bag.zst", SINGLE, ("a.bag.zst",)),
         ("front.svo2", SINGLE, ("front.svo2",)),
     ]
+
+
+def test_new_names_of_rosbag2_are_one_split_recording_in_the_order_of_their_numbers() -> None:
+    paths = [f"patrol/{k}_patrol_2026_01_17-10_{k:02d}_30.mcap" for k in range(12)]
+    (found,) = group(reversed(paths))
+    assert (found.kind, list(found.members)) == (GroupKind.split_set, paths)
+    (found,) = group([*paths, "patrol/metadata.yaml"])
+    assert (found.kind, found.name, list(found.members)) == (GroupKind.rosbag2, "patrol", paths)
+
+
+def test_a_smaller_number_begins_the_next_recording_of_that_name() -> None:
+    first = [f"{k}_patrol_2026_01_17-10_0{k}_30.db3" for k in range(3)]
+    second = [f"{k}_patrol_2026_01_17-11_0{k}_30.db3" for k in range(2)]
+    assert [list(found.members) for found in group([*second, *first])] == [first, second]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["rosbag2_2026_01_17-10_00_00.mcap", "rosbag2_2026_01_17-10_00_45.mcap"],
+        ["run_20260117_000000.mcap", "run_20260117_000130.mcap"],
+        ["run_2026-01-17-10-00-00.mcap", "run_2026-01-17-10-00-45.mcap"],
+        ["run_2026_01_17T10_00.db3", "run_2026_01_17T10_45.db3"],
+    ],
+)
+def test_a_time_at_the_end_of_a_name_is_no_split_number(names: list[str]) -> None:
+    assert [list(found.members) for found in group(names)] == [[name] for name in names]
+
+
+def test_a_number_behind_a_time_is_one() -> None:
+    names = [f"rosbag2_2026_01_17-10_00_00_{k}.mcap" for k in (0, 1, 2, 10)]
+    assert [list(found.members) for found in group(names)] == [names]
+
+
+def test_paths_that_windows_wrote_name_the_same_files() -> None:
+    text = "rosbag2_bagfile_information:\r\n  relative_file_paths:\r\n    - bag\\bag_0.mcap\r\n"
+    said = parse_rosbag2_metadata(text)
+    assert said is not None
+    (found,) = group(["bag/bag_0.mcap", "bag/metadata.yaml"], {"bag/metadata.yaml": said})
+    assert found.members == ("bag/bag_0.mcap",)
+    assert compare_metadata(said, [MemberFacts("bag_0.mcap")]) == []
+
+
+def test_bags_still_being_written_are_recordings() -> None:
+    names = ["night/run.bag.active", "x_2024-05-01-10-00-00_0.bag", "x_2024-05-01-10-05-00_1.bag.active"]
+    assert [list(found.members) for found in group(names)] == [names[:1], names[1:]]

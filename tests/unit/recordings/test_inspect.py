@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from kleinkram.recordings import (
     summarise,
 )
 from kleinkram.recordings.inspect import InspectionKind, inspect_paths, to_plain
+from kleinkram.recordings.reading import NotARecording, Recording
 from kleinkram.recordings.sample import SampleFormat, generate_mission
 
 T0 = 1_700_000_000_000_000_000
@@ -204,3 +206,60 @@ def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) ->
     first, *moved, last = watch.told
     assert (first, last) == ((str(path), path.stat().st_size), "ended")
     assert sum(step for step in moved if isinstance(step, int)) == path.stat().st_size
+
+
+def _write(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    generate_mission(path.parent, duration_s=1, formats=[SampleFormat.mcap]).files[0].path.rename(path)
+
+
+def test_one_unreadable_file_or_folder_hides_no_other(tmp_path: Path) -> None:
+    for number in (1, 3):
+        _write(tmp_path / "day" / f"f{number}.mcap")
+    (tmp_path / "day" / "f2.mcap").symlink_to(tmp_path / "nowhere.mcap")
+    os.mkfifo(tmp_path / "day" / "pipe.bag")
+    found = {Path(each.path).name: each.summary for each in inspect_paths([tmp_path / "day"])}
+    assert {name: summary.content for name, summary in found.items()} == {
+        "f1.mcap": Content.indexed,
+        "f2.mcap": Content.error,
+        "f3.mcap": Content.indexed,
+        "pipe.bag": Content.error,
+    }
+    assert "f2.mcap" in (found["f2.mcap"].reason or "")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
+def test_what_may_not_be_read_is_named_and_hides_no_other(tmp_path: Path) -> None:
+    for name in ("f1.mcap", "f2.mcap", "locked/f4.mcap", "f3.mcap"):
+        _write(tmp_path / "day" / name)
+    (tmp_path / "day" / "f2.mcap").chmod(0)
+    (tmp_path / "day" / "locked").chmod(0)
+    for folder in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
+        folder.chmod(0o755)
+    pid = os.fork()
+    if pid == 0:
+        os.setresuid(65534, 65534, 65534)
+        found = {Path(each.path).name: each.summary.content for each in inspect_paths([tmp_path / "day"])}
+        wanted = {
+            "f1.mcap": Content.indexed,
+            "f2.mcap": Content.error,
+            "f3.mcap": Content.indexed,
+            "locked": Content.error,
+        }
+        os._exit(0 if found == wanted else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def test_a_lone_metadata_file_gets_the_same_answer_everywhere(tmp_path: Path) -> None:
+    folder = tmp_path / "patrol"
+    folder.mkdir()
+    text = "rosbag2_bagfile_information:\n  message_count: 5\n  relative_file_paths: [patrol_0.mcap]\n"
+    (folder / "metadata.yaml").write_text(text)
+    (one,), (other,) = inspect_paths([folder]), inspect_paths([folder / "metadata.yaml"])
+    assert one.summary == other.summary
+    assert one.summary.content is Content.broken
+    for path in (folder, folder / "metadata.yaml"):
+        with pytest.raises(NotARecording, match="names a data file with 5 messages, but none is there"):
+            Recording.open(path)
+    with FileSource(folder / "metadata.yaml") as source, pytest.raises(NotARecording, match="but none is there"):
+        Recording.open(source)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import struct
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from kleinkram.recordings import Content
+from kleinkram.recordings.inspect import inspect_paths
+from kleinkram.recordings.model import Depth
+from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.rosbag2.leftovers import find_leftovers
 
 from .databases import make_database, steady
@@ -30,13 +34,72 @@ def killed(tmp_path: Path) -> Path:
     return tmp_path / "killed" / "a.db3"
 
 
-def test_messages_that_are_only_in_the_log_are_told(killed: Path) -> None:
+def test_messages_that_are_only_in_the_log_are_read_and_told(killed: Path) -> None:
     before = {path.name: path.read_bytes() for path in killed.parent.iterdir()}
     summary = scan_file(killed)
-    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+    assert (summary.content, summary.message_count) == (Content.recovered, 150)
     assert [(p.code, p.where) for p in summary.problems] == [("wal-not-merged", "a.db3-wal")]
     assert "wal_checkpoint" in (summary.reason or "")
-    assert {path.name: path.read_bytes() for path in killed.parent.iterdir()} == before, "looked at, not touched"
+    with Recording.open(killed) as recording:
+        assert sum(1 for _ in recording.raw_messages()) == 150
+        assert [problem.code for problem in recording.problems] == ["wal-not-merged"]
+    assert {path.name: path.read_bytes() for path in killed.parent.iterdir()} == before, "the recording is not touched"
+
+
+def test_tables_that_are_all_in_the_log_are_found(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "first.db3", isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB)")
+        for number in (1, 2):
+            database.execute(
+                "INSERT INTO topics VALUES (?, ?, 'sensor_msgs/msg/Imu', 'cdr')", (number, f"/imu{number}")
+            )
+        database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", steady(20))
+        (tmp_path / "killed").mkdir()
+        for suffix in ("", "-wal"):
+            shutil.copy(tmp_path / f"first.db3{suffix}", tmp_path / "killed" / f"first.db3{suffix}")
+    path = tmp_path / "killed" / "first.db3"
+    for depth in Depth:
+        (found,) = inspect_paths([path.parent], depth=depth)
+        assert (found.summary.content, found.summary.message_count) == (Content.recovered, 20)
+        assert [each.code for each in found.summary.problems] == ["wal-not-merged"]
+    with Recording.open(path) as recording:
+        assert sum(1 for _ in recording.raw_messages()) == 20
+
+
+def test_a_journal_is_rolled_back_in_a_copy(tmp_path: Path) -> None:
+    path = make_database(tmp_path / "a.db3", messages=steady(100))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("PRAGMA cache_size=1")  # so that pages are written before the transaction ends
+        database.execute("BEGIN")
+        database.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+            [(topic, time, bytes(3000)) for topic, time, _ in steady(500)],
+        )
+        (tmp_path / "killed").mkdir()
+        for suffix in ("", "-journal"):
+            shutil.copy(f"{path}{suffix}", tmp_path / "killed" / f"a.db3{suffix}")
+        database.execute("ROLLBACK")
+    summary = scan_file(tmp_path / "killed" / "a.db3")
+    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+    assert [each.code for each in summary.problems] == ["journal-not-merged"]
+
+
+def test_a_journal_that_names_another_file_deletes_nothing(tmp_path: Path) -> None:
+    """SQLite removes the file that a journal names at its end, once no journal names that."""
+    victim = tmp_path / "thesis.txt"
+    victim.write_text("precious")
+    path = make_database(tmp_path / "a.db3", messages=steady(5))
+    name = str(victim).encode()
+    magic = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
+    trailer = struct.pack(">I", 0x40000000 // 4096 + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
+    path.with_name("a.db3-journal").write_bytes(magic + bytes(504) + trailer)
+    summary = scan_file(path)
+    assert [each.code for each in summary.problems] == ["journal-not-merged", "log-not-read"]
+    with Recording.open(path) as recording:
+        assert sum(1 for _ in recording.raw_messages()) == 5
+    assert victim.read_text() == "precious"
 
 
 def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:

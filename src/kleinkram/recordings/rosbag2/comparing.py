@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from kleinkram.recordings.model import Problem, RecordingFormat
+from kleinkram.recordings.model import Problem, RecordingFormat, counted
 from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, StatedFile, StatedTopic
 
 METADATA_NAME = "metadata.yaml"
@@ -96,8 +96,8 @@ def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) ->
             message = f"metadata.yaml says its storage is {metadata.storage}, but it is {found.value}"
             problems.append(Problem("metadata-storage", member.name, message))
         claimed = stated[member.name].message_count if member.name in stated else None
-        if len(members) > 1 and None not in (claimed, member.message_count) and claimed != member.message_count:
-            message = f"metadata.yaml says it holds {claimed} messages, it holds {member.message_count}"
+        if len(members) > 1 and claimed is not None and member.message_count not in (None, claimed):
+            message = f"metadata.yaml says it holds {counted(claimed, 'message')}, it holds {member.message_count}"
             problems.append(Problem("metadata-count", member.name, message))
     return problems
 
@@ -105,7 +105,7 @@ def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) ->
 def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, TopicFacts]) -> list[Problem]:
     problems: list[Problem] = []
     if metadata.message_count is not None and metadata.message_count != count:
-        message = f"it says {metadata.message_count} messages, the files hold {count}"
+        message = f"it says {counted(metadata.message_count, 'message')}, the files hold {count}"
         problems.append(Problem("metadata-count", METADATA_NAME, message))
     if not topics or not metadata.topics:
         return problems
@@ -114,7 +114,7 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
         claimed = stated.get(name, 0)
         found = topics[name].message_count if name in topics else 0
         if claimed is not None and found is not None and claimed != found:
-            message = f"metadata.yaml says {claimed} messages, the files hold {found}"
+            message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {found}"
             problems.append(Problem("metadata-topic-count", name, message))
     return problems
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from kleinkram.recordings.assemble import TopicType, bounded, measure
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.rosbag2 import database as db
 from kleinkram.recordings.rosbag2.database import MessageRow, Origin, TopicRow
 from kleinkram.recordings.rosbag2.leftovers import find_leftovers, not_read, replay, replayed_copy
@@ -52,7 +52,7 @@ def scan_db3(forward: Forward, *, depth: Depth = Depth.scan) -> RecordingSummary
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
 
 
-def scan_with_logs(copy: Path, name: str) -> RecordingSummary:
+def scan_copy(copy: Path, name: str) -> RecordingSummary:
     """Read a database, a temporary copy with its log or journal beside it, of which SQLite makes one file.
 
     Raises:
@@ -140,10 +140,12 @@ class _Tally:
 
     def _problems(self) -> Iterator[Problem]:
         for topic_id, count in sorted(self.undefined.items()):
-            message = f"{count} messages belong to topic id {topic_id}, which the database does not define"
+            belonging = counted(count, "message belongs", "messages belong")
+            message = f"{belonging} to topic id {topic_id}, which the database does not define"
             yield Problem("topic-undefined", self._names[topic_id], message)
         if self.unusable:
-            message = f"{self.unusable} rows have no whole number as time or topic id, or a time before 1970; left out"
+            rows = counted(self.unusable, "row has", "rows have")
+            message = f"{rows} no whole number as time or topic id, or a time before 1970; left out"
             yield Problem("rows-unusable", "table messages", message)
 
 
@@ -199,10 +201,14 @@ def _reason(found: Recovered, count: int, error: str) -> str:
     if found.size_bytes < found.claimed_bytes:
         cause = f"the file is cut: {found.size_bytes} of {found.claimed_bytes} bytes are there"
     elif found.first_damage:
-        more = f" (and {found.damaged_pages - 1} more pages)" if found.damaged_pages > 1 else ""
+        more = f" (and {counted(found.damaged_pages - 1, 'more page')})" if found.damaged_pages > 1 else ""
         cause = found.first_damage + more
     else:
         cause = f"SQLite cannot read it ({error})"
     least = "" if found.is_exact else "at least "
-    missing = f", {least}{found.lost_messages} are lost" if found.lost_messages else ""
-    return f"{cause}; {count} messages can be read{missing}"
+    missing = (
+        f", {least}{found.lost_messages} {'is' if found.lost_messages == 1 else 'are'} lost"
+        if found.lost_messages
+        else ""
+    )
+    return f"{cause}; {counted(count, 'message')} can be read{missing}"

@@ -14,6 +14,7 @@ from kleinkram.recordings.model import (
     RecordingFormat,
     RecordingSummary,
     TopicSummary,
+    counted,
 )
 from kleinkram.recordings.rosbag2.comparing import (
     METADATA_NAME,
@@ -63,7 +64,7 @@ def _topic_facts(topic: TopicSummary) -> TopicFacts:
 def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
     count = len(metadata.files)
     what = "a data file" if count == 1 else f"{count} data files"
-    claimed = f" with {metadata.message_count} messages" if metadata.message_count is not None else ""
+    claimed = f" with {counted(metadata.message_count, 'message')}" if metadata.message_count is not None else ""
     return RecordingSummary(
         format=_FORMATS.get(metadata.storage or "", RecordingFormat.rosbag2_metadata),
         content=Content.broken,
@@ -94,7 +95,7 @@ def _with_loss(
     lost = summary.lost or Lost(0, 0, None)
     messages = lost_messages(metadata, members)
     if messages is not None and summary.message_count is not None:
-        reasons.append(f"{summary.message_count} of {metadata.message_count} messages can be read")
+        reasons.append(f"{summary.message_count} of {counted(metadata.message_count or 0, 'message')} can be read")
     return replace(
         summary,
         content=Content.recovered if summary.content is Content.indexed else summary.content,

@@ -48,6 +48,8 @@ _OLD_PROOFS = 500
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
 # Slower than any machine that we know reads the slowest format.
 _SCAN_BYTES_PER_S = 5_000_000
+# The extension of rosbag2's databases, beside which a killed recorder leaves a log.
+_DATABASE = ".db3"
 # So many small blobs are looked for, and for so long they are read, before what was found is kept; while uploads come
 # in, a few.
 _TAKEN_ALONG, _AT_ONCE_S, _TURN_S = 100, 2.0, 0.02
@@ -60,11 +62,14 @@ async def summarise_blob(context: JobContext, ref: str) -> None:
     """Read what is in a recording, in a child process without credentials, and keep it."""
     site, blob_id = site_of(context), uuid.UUID(ref)
     row = await _blob_here(site, blob_id)
-    if row is None or row.path is None or row.depth == ReadDepth.scan:
+    if row is None or row.path is None:
+        return
+    logs = await _logs_beside(site, row)
+    if row.depth == ReadDepth.scan and not logs:
         return
     await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
     try:
-        summary = await _summary(site, given(context, "readers", Readers), row)
+        summary = await _summary(site, given(context, "readers", Readers), row, logs)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and context.job.attempts < ATTEMPTS - 1:
             raise  # the store, not the file: worth another try
@@ -94,11 +99,28 @@ async def _keep_summary(site: Site, blob_id: uuid.UUID, summary: RecordingSummar
             await service.keep_failure(db, blob_id, "what it says of itself does not fit into the database")
 
 
-async def _summary(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -> RecordingSummary:
-    timeout_s = site.settings.summary_timeout_s
-    url = site.storage.sign_internal_read(row.key, expires_s=timeout_s + 60)
+async def _logs_beside(site: Site, row: Row[tuple[object, ...]]) -> Mapping[str, Row[tuple[object, ...]]]:
+    if row.path is None or not row.path.endswith(_DATABASE):
+        return {}
+    async with site.database.begin() as db:
+        return await service.logs_beside(db, row.id)
+
+
+async def _summary(
+    site: Site,
+    readers: Readers,
+    row: Row[tuple[object, ...]],
+    logs: Mapping[str, Row[tuple[object, ...]]],
+) -> RecordingSummary:
+    size_bytes = row.size_bytes + sum(log.size_bytes for log in logs.values())
+    timeout_s = site.settings.summary_timeout_s + (size_bytes // _SCAN_BYTES_PER_S if logs else 0)
+
+    def sign(key: str) -> str:
+        return site.storage.sign_internal_read(key, expires_s=timeout_s + 60)
+
+    wanted = {suffix: (sign(log.key), log.size_bytes) for suffix, log in logs.items()}
     request = request_bytes(
-        UrlRequest(url, row.size_bytes, file_name(row.path)),
+        UrlRequest(sign(row.key), row.size_bytes, file_name(row.path), wanted),
         most_bytes=_SUMMARY_MOST_BYTES,
         memory_bytes=site.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),
@@ -209,6 +231,12 @@ async def _keep_scan(site: Site, blob_id: uuid.UUID, scan: RecordingSummary | Su
 
 async def _read(site: Site, readers: Readers, row: Row[tuple[object, ...]]) -> _Read:
     """Read a blob through. What reading along failed at is no reason to doubt the bytes."""
+    if logs := await _logs_beside(site, row):
+        found = await read_through(site, row.key)
+        try:
+            return found, await _summary(site, readers, row, logs)
+        except SummaryFailed as failure:
+            return found, failure
     if row.path is None or row.content == ContentState.opaque or row.depth == ReadDepth.scan:
         return await read_through(site, row.key), None
     patience_s = site.settings.summary_timeout_s

@@ -24,6 +24,48 @@ def blobs_with_path(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
     return select(blob, path.label("path")).where(among(blob.c.id, blob_ids), blob.c.doomed_at.is_(None))
 
 
+# The log and journal of an SQLite database, and what follows the database's own path in theirs.
+LOG_SUFFIXES = ("-wal", "-journal")
+_DATABASE = ".db3"
+
+
+def logs_beside(blob_id: uuid.UUID) -> Select[Any]:
+    """Return suffix, key and size of the logs that lie beside the files of a database's blob, oldest file first."""
+    database, log, log_blob = file.alias("database"), file.alias("log"), blob.alias("log_blob")
+    suffix = func.substr(log.c.path, func.length(database.c.path) + 1)
+    return (
+        select(suffix.label("suffix"), log_blob.c.key, log_blob.c.size_bytes)
+        .join_from(database, log, log.c.mission_id == database.c.mission_id)
+        .join(log_blob, log_blob.c.id == log.c.blob_id)
+        .where(
+            database.c.blob_id == blob_id,
+            database.c.path.endswith(_DATABASE),
+            log.c.path.in_([database.c.path + each for each in LOG_SUFFIXES]),
+            database.c.deleted_at.is_(None),
+            log.c.deleted_at.is_(None),
+            log_blob.c.size_bytes > 0,
+            log_blob.c.doomed_at.is_(None),
+        )
+        .order_by(database.c.created_at, database.c.id)
+    )
+
+
+def databases_of_logs(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
+    """Return ids of the blobs of databases beside which these blobs are logs."""
+    database, log = file.alias("database"), file.alias("log")
+    beside = or_(*(log.c.path == database.c.path + each for each in LOG_SUFFIXES))
+    return (
+        select(database.c.blob_id)
+        .join_from(log, database, database.c.mission_id == log.c.mission_id)
+        .where(
+            among(log.c.blob_id, blob_ids),
+            or_(*(log.c.path.endswith(f"{_DATABASE}{each}") for each in LOG_SUFFIXES)),
+            beside,
+            database.c.deleted_at.is_(None),
+        )
+    )
+
+
 def small_among(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
     """Return ids of the small ones among some blobs."""
     return select(blob.c.id).where(among(blob.c.id, blob_ids), is_small())

@@ -32,7 +32,11 @@ _ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 23, 600
 
 
 async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
-    """See to it that new blobs are summarised soon and proven in time: small ones at once, by a single job."""
+    """See to it that new blobs are summarised soon and proven in time: small ones at once, by a single job.
+
+    A database beside which a new one is the log is read again, with it.
+    """
+    blob_ids = [*dict.fromkeys([*blob_ids, *(await db.execute(queries.databases_of_logs(blob_ids))).scalars()])]
     is_small = set((await db.execute(queries.small_among(blob_ids))).scalars())
     small = [str(each) for each in blob_ids if each in is_small]
     large = [str(each) for each in blob_ids if each not in is_small]
@@ -89,6 +93,14 @@ async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
 async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
     """Return a blob that is still there and not about to go, with the path of one of its files."""
     return (await db.execute(queries.blobs_with_path([blob_id]))).one_or_none()
+
+
+async def logs_beside(db: Connection, blob_id: uuid.UUID) -> dict[str, Row[Any]]:
+    """Return, by suffix, key and size of the log and journal beside a database: its recorder was killed."""
+    found: dict[str, Row[Any]] = {}
+    for row in await db.execute(queries.logs_beside(blob_id)):
+        found.setdefault(row.suffix, row)
+    return found
 
 
 async def taken_along(db: Connection, row: Row[Any], *, most: int) -> Sequence[Row[Any]]:

@@ -122,5 +122,5 @@ def test_empty_file(recordings_dir: Path) -> None:
 
 
 def test_metadata_without_data(recordings_dir: Path) -> None:
-    with pytest.raises(NotARecording, match="no recording"):
+    with pytest.raises(NotARecording, match="names a data file with 27792 messages, but none is there"):
         Recording.open(recordings_dir / "broken/metadata_only_data_missing")

@@ -1,0 +1,56 @@
+"""rosbag2 databases of killed recorders, uploaded with the log that SQLite left beside them."""
+
+from pathlib import Path
+
+import pytest
+
+from kleinkram.client import connect
+from kleinkram.recordings.inspect import inspect_paths
+from tests.conftest import MakeCase
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import run_jobs
+from tests.integration.running import Api
+from tests.integration.uploading import upload_all
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("bag_0.*")}
+
+
+def _state(api: Api, mission_id: str) -> tuple[str, int | None, list[str]]:
+    """What the server says of the recording: content, messages, and the problems of its file."""
+    (recording,) = api.all(f"/missions/{mission_id}/recordings")
+    file = next(each for each in api.all("/files", {"mission_id": mission_id}) if each["path"].endswith(".db3"))
+    problems = api.get(f"/files/{file['id']}").ok()["problems"]
+    return recording["content"], recording["message_count"], [each["code"] for each in problems]
+
+
+def _told_here(folder: Path) -> tuple[str, int | None, list[str]]:
+    (found,) = inspect_paths([folder])
+    summary = found.summary
+    return summary.content.value, summary.message_count, [each.code for each in summary.problems]
+
+
+@pytest.mark.parametrize(("case", "messages"), [("02A", 20), ("03A", 25)])
+def test_messages_in_the_log_are_read_as_they_are_here(
+    api: Api, mission_id: str, make_case: MakeCase, case: str, messages: int
+) -> None:
+    folder = make_case(case)
+    upload_all(api, mission_id, _files(folder))
+    run_jobs(api)
+    assert _state(api, mission_id) == ("recovered", messages, ["wal-not-merged"]) == _told_here(folder)
+
+
+@pytest.mark.parametrize("first", ["-wal", ".db3"])
+def test_the_order_of_arrival_does_not_matter(start_api: StartApi, make_case: MakeCase, first: str) -> None:
+    api = start_api()
+    mission_id = str(api.mission(api.project()["id"])["id"])
+    bodies = _files(make_case("03A")) | {"bag/bag_0.db3-journal": b""}
+    for path in sorted(bodies, key=lambda path: not path.endswith(first)):
+        upload_all(api, mission_id, {path: bodies[path]})
+        run_jobs(api)
+    assert _state(api, mission_id) == ("recovered", 25, ["wal-not-merged"])
+    (recording,) = api.all(f"/missions/{mission_id}/recordings")
+    with connect(api.url, api.token) as client, client.recordings.open(recording["id"]) as opened:
+        assert sum(1 for _ in opened.raw_messages()) == 25
+        assert [each.code for each in opened.problems] == ["wal-not-merged"]
