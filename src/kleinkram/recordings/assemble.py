@@ -97,8 +97,8 @@ def rate_hz(count: int, first_ns: int, last_ns: int) -> float | None:
 def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: TopicTimes) -> list[Problem]:
     problems: list[Problem] = []
     if topic.suspect_count:
-        message = f"{counted(topic.suspect_count, 'message is', 'messages are')} stamped more than a year away from the rest; "
-            "left out of the span"
+        stamped = counted(topic.suspect_count, "message is", "messages are")
+        message = f"{stamped} stamped more than a year away from the rest; left out of the span"
         problems.append(Problem("suspect-stamps", topic.name, message))
     if times.gaps_are_upper_bounds:
         message = (
