@@ -13,6 +13,7 @@ from itertools import chain, islice
 
 from kleinkram.recordings.assemble import TopicType, bounded, measure, pending, tell_damage, tell_doubled, tell_readable
 from kleinkram.recordings.bag import records
+from kleinkram.recordings.bag.contents import BagListener
 from kleinkram.recordings.bag.records import ChunkInfo, Connection
 from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
 from kleinkram.recordings.errors import Malformed
@@ -59,13 +60,16 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
     return _summary(bag.timeline, bag.connections, bag.compression, bag.problems)
 
 
-def scan_bag(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
+def scan_bag(
+    forward: Forward, problems: Sequence[Problem] = (), listener: BagListener | None = None
+) -> RecordingSummary:
     """Read all of a file that begins with the magic of a ROS 1 bag 2.0. `problems`: why its index is not enough.
+    `listener`: as `scan_bag_records`.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scan = scan_bag_records(forward)
+    scan = scan_bag_records(forward, listener)
     losses, messages = scan.losses, scan.tally.messages
     found = losses.problems()
     if scan.listed is not None and scan.listed != messages and not found:

@@ -20,7 +20,7 @@ from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
-from kleinkram.recordings.mcap.records import McapFacts, Schema
+from kleinkram.recordings.mcap.records import McapFacts, McapListener, Schema
 from kleinkram.recordings.mcap.scan import Scan, scan_records
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import Source
@@ -57,18 +57,21 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
     return scan_mcap(from_source(source), problems)
 
 
-def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
+def scan_mcap(
+    forward: Forward, problems: Sequence[Problem] = (), listener: McapListener | None = None
+) -> RecordingSummary:
+    """Read all of a file that begins with the magic of MCAP. `problems`: found before. `listener`: as `scan_records`.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scan = scan_records(forward)
-    found = [*problems, *scan.losses.problems()]
+    scan = scan_records(forward, listener)
+    found = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.tally.messages
     if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
+    found = found or [*problems]  # a scan says more exactly what is wrong with an index
     found += tell_lateness(scan.tally.lateness)
     stated = claimed.messages if claimed is not None and not scan.losses.index_faults else None
     content = _content(scan)

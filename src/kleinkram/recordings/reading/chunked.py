@@ -147,7 +147,7 @@ class _Reader:
         if len(group) == 1 or span > MAX_READ:
             return [self._load(row) for row in group]
         data = memoryview(self._file.source.read(first.start, span))
-        return [self._unpack(row, data[row.start - first.start :][: row.length]) for row in group]
+        return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
         if row.kind == RECORDS:
@@ -155,10 +155,13 @@ class _Reader:
                 return Malformed(
                     f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
                 )
-            return _read(self._file.source, row.start, row.length)
-        if max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
+        elif max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
             return None
-        return self._unpack(row, _read(self._file.source, row.start, row.length))
+        return self._take(row, _read(self._file.source, row.start, row.length))
+
+    def _take(self, row: Row, data: Buffer) -> Loaded:
+        """Return the content of a row whose bytes are at hand: records as they stand, a chunk unpacked."""
+        return data if row.kind == RECORDS else self._unpack(row, data)
 
     def _unpack(self, row: Row, data: Buffer) -> Loaded:
         try:

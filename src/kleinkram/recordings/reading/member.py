@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.reading import bag_chunks, bag_index, mcap_chunks
 from kleinkram.recordings.reading.chunk_table import Row
 from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
@@ -45,6 +46,10 @@ class Member(Protocol):
     def contents(self) -> Contents:
         """What it says of itself."""
 
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """What is in it, if it was read from end to end to be opened."""
+
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield what may hold the messages that are wanted, by first time."""
 
@@ -55,8 +60,9 @@ class Member(Protocol):
 class ChunkedMember:
     """A file made of chunks."""
 
-    def __init__(self, file: ChunkedFile, contents: Contents) -> None:
+    def __init__(self, file: ChunkedFile, contents: Contents, summary: RecordingSummary | None = None) -> None:
         self.contents = contents
+        self.summary = summary
         self._file = file
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
@@ -90,11 +96,11 @@ def open_mcap(
         TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
-    index = _mcap_index(source, noticed, most_bytes)
+    index, summary = _mcap_index(source, noticed, most_bytes)
     channels = index.definitions.resolve(message_compression)
     start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents)
+    return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents, summary)
 
 
 def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
@@ -104,22 +110,25 @@ def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None)
         TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
+    summary = None
     try:
         index = bag_index.read_index(source)
     except NotIndexed as refusal:
         check_cost(source, most_bytes, str(refusal))
         noticed.add(refusal.code, source.name, str(refusal))
-        index = bag_index.rebuild_index(source, noticed)
+        index, summary = bag_index.rebuild_index(source, noticed)
     rows = index.table.rows
     start_ns = min(rows.column(Row._fields.index("first_ns")), default=None)
     end_ns = max(rows.column(Row._fields.index("last_ns")), default=None)
     contents = Contents(index.channels, index.counts, sum(index.counts.values()), start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents)
+    return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents, summary)
 
 
-def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> McapIndex:
+def _mcap_index(
+    source: Source, noticed: Noticed, most_bytes: int | None
+) -> tuple[McapIndex, RecordingSummary | None]:
     try:
-        return read_index(source)
+        return read_index(source), None
     except NotIndexed as refusal:
         check_cost(source, most_bytes, str(refusal))
         if refusal.is_problem:
