@@ -184,10 +184,11 @@ def _differences(who: str, one: Account, whom: str, other: Account) -> list[str]
         found.append(f"{who} counts {one.count} messages, {whom} {other.count}")
     if one.span != other.span and one.span != (None, None):
         found.append(f"{who} says the span {one.span}, {whom} {other.span}")
-    for name in sorted(one.topics.keys() | other.topics.keys()):
-        if one.topics.get(name) != other.topics.get(name):
-            found.append(f"{who} says of {name} {one.topics.get(name)}, {whom} {other.topics.get(name)}")
-    return found
+    return found + [
+        f"{who} says of {name} {one.topics.get(name)}, {whom} {other.topics.get(name)}"
+        for name in sorted(one.topics.keys() | other.topics.keys())
+        if one.topics.get(name) != other.topics.get(name)
+    ]
 
 
 def _fewer_problems(who: str, one: Account, whom: str, other: Account) -> list[str]:

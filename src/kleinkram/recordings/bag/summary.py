@@ -16,9 +16,11 @@ from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.contents import BagListener
 from kleinkram.recordings.bag.records import ChunkInfo, Connection
 from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
+from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
 from kleinkram.recordings.sources import Source, read_short_ranges
@@ -38,6 +40,7 @@ class _Bag:
     names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
     timeline: Timeline = field(default_factory=Timeline)
+    losses: Losses = field(default_factory=Losses)
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -57,7 +60,13 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
         if source.size_bytes > most_bytes:
             return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
         return scan_bag(from_source(source), [Problem("index-damaged", error.where, error.message)])
-    return _summary(bag.timeline, bag.connections, bag.compression, bag.problems)
+    summary = _summary(bag.timeline, bag.connections, bag.compression, [*bag.losses.problems(), *bag.problems])
+    if not bag.losses.damage:
+        return summary
+    messages = summary.message_count or 0
+    lost = bag.losses.total(claimed=sum(chunk.messages for chunk in bag.chunks), found=messages)
+    reason = f"it is damaged {tell_damage(bag.losses.damage)}; {tell_readable(messages, lost)}"
+    return replace(summary, content=_content(bag.losses, messages), reason=reason, lost=lost)
 
 
 def scan_bag(
@@ -81,17 +90,15 @@ def scan_bag(
         found = found or [*problems]
     reason = None if whole else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
     summary = _summary(scan.tally.timeline, scan.facts.connections, scan.compression, found)
-    return replace(summary, content=_content(scan, whole=whole), reason=reason, depth=Depth.scan, lost=lost)
+    content = Content.opaque if scan.refused is not None else _content(losses, messages)
+    return replace(summary, content=Content.indexed if whole else content, reason=reason, depth=Depth.scan, lost=lost)
 
 
-def _content(scan: BagScan, *, whole: bool) -> Content:
-    if whole:
-        return Content.indexed
-    if scan.refused is not None:
-        return Content.opaque
-    if scan.tally.messages:
+def _content(losses: Losses, messages: int) -> Content:
+    """Return what a bag is that is not whole."""
+    if messages:
         return Content.recovered
-    damage = scan.losses.damage
+    damage = losses.damage
     return Content.broken if any(fault.certain for fault in damage) or not damage else Content.opaque
 
 
@@ -170,7 +177,12 @@ def _read_chunk_indexes(source: Source, bag: _Bag) -> None:
     for (chunk, head, stream), before_ns in zip(_chunk_streams(source, bag), watermarks, strict=True):
         bag.compression.add(head.compression)
         entries = _read_chunk_entries(stream, bag, chunk)
-        bag.timeline.add_chunk(entries, uncompressed_bytes=head.uncompressed_bytes, stored_bytes=head.data_bytes)
+        if is_known_compression(head.compression):
+            sizes = head.uncompressed_bytes, head.data_bytes
+            bag.timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])
+        else:
+            messages, why = sum(len(entry.stamps) for entry in entries), unknown_compression(head.compression)
+            bag.losses.leave_chunk(chunk.position, head.data_start + head.data_bytes, messages, why)
         bag.timeline.settle(before_ns)
 
 

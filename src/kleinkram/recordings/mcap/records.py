@@ -11,8 +11,9 @@ from array import array
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
+from kleinkram.recordings.decompress import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.limits import MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.listening import Held, Listener
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
@@ -77,6 +78,7 @@ class McapFacts:
 
     Attributes:
         listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
+        unknown_compression: by the start of a chunk, a compression that its index names and that is not read.
     """
 
     library: str = ""
@@ -87,6 +89,7 @@ class McapFacts:
     chunks: PackedTable[ChunkPlace] = field(default_factory=lambda: PackedTable(ChunkPlace, len(ChunkPlace._fields)))
     names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
+    unknown_compression: dict[int, str] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
@@ -261,7 +264,12 @@ def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
     first_ns, _last_ns, start, length = reader.fields(_CHUNK_PLACE)
     reader.counted()
     (index_length,) = reader.fields(_U64)
-    facts.compression.add(reader.text() or "none")
+    compression = reader.text()
+    facts.compression.add(compression or "none")
+    if not is_known_compression(compression):
+        if len(facts.unknown_compression) >= MAX_DAMAGE:
+            raise Malformed(where, f"more than {MAX_DAMAGE} chunks that are not read", certain=False)
+        facts.unknown_compression[start] = compression
     compressed, uncompressed = reader.fields(_PAIR_U64)
     index_start = start + length
     place = ChunkPlace(start, index_start, index_start + index_length, first_ns, compressed, uncompressed)

@@ -18,10 +18,11 @@ from kleinkram.recordings.assemble import (
 )
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
+from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
 from kleinkram.recordings.mcap.records import McapFacts, McapListener, Schema
-from kleinkram.recordings.mcap.scan import Scan, scan_records
+from kleinkram.recordings.mcap.scan import scan_records
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range
@@ -42,16 +43,16 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
     problems: list[Problem] = []
     why = "it was never closed, so it has no index"
     if footer is not None:
-        timeline = Timeline()
+        timeline, losses = Timeline(), Losses()
         try:
-            facts = read_index(source, footer, timeline)
+            facts = read_index(source, footer, timeline, losses)
         except NotIndexed as refusal:
             why = str(refusal)
             if refusal.is_problem:
                 problems.append(Problem(refusal.code, source.name, why))
         else:
             _read_header(source, facts, problems)
-            return _summary(Content.indexed, None, facts, timeline, problems)
+            return _by_index(facts, timeline, losses, problems)
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.mcap, source.size_bytes, why, problems)
     return scan_mcap(from_source(source), problems)
@@ -73,12 +74,27 @@ def scan_mcap(
         found.append(Problem("counts-disagree", forward.name, message))
     found = found or [*problems]  # a scan says more exactly what is wrong with an index
     found += tell_lateness(scan.tally.lateness)
-    stated = claimed.messages if claimed is not None and not scan.losses.index_faults else None
-    content = _content(scan)
-    lost = scan.losses.total(claimed=stated, found=messages) if content is not Content.indexed else None
-    reason = None if content is Content.indexed else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
-    summary = _summary(content, reason, scan.facts, scan.tally.timeline, found)
-    return replace(summary, depth=Depth.scan, lost=lost)
+    summary = _judged(_summary(scan.facts, scan.tally.timeline, found), scan.facts, scan.losses, closed=scan.closed)
+    return replace(summary, depth=Depth.scan)
+
+
+def _by_index(facts: McapFacts, timeline: Timeline, losses: Losses, problems: list[Problem]) -> RecordingSummary:
+    summary = _summary(facts, timeline, [*problems, *losses.problems()])
+    return _judged(summary, facts, losses, closed=True)
+
+
+def _judged(summary: RecordingSummary, facts: McapFacts, losses: Losses, *, closed: bool) -> RecordingSummary:
+    """Add how far a file can be read, and what is lost of it."""
+    messages = summary.message_count or 0
+    content = _content(
+        losses, closed=closed, holds_anything=bool(messages or facts.attachments or facts.metadata_records)
+    )
+    if content is Content.indexed:
+        return replace(summary, content=content)
+    stated = facts.statistics.messages if facts.statistics is not None and not losses.index_faults else None
+    lost = losses.total(claimed=stated, found=messages)
+    reason = f"{_what_is_wrong(losses, closed=closed)}; {tell_readable(messages, lost)}"
+    return replace(summary, content=content, reason=reason, lost=lost)
 
 
 def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> None:
@@ -94,33 +110,25 @@ def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> N
         problems.append(Problem("header-damaged", error.where, error.message))
 
 
-def _content(scan: Scan) -> Content:
-    if scan.closed and not scan.losses.damage:
+def _content(losses: Losses, *, closed: bool, holds_anything: bool) -> Content:
+    if closed and not losses.damage:
         return Content.indexed
-    if scan.tally.messages or scan.facts.attachments or scan.facts.metadata_records:
+    if holds_anything:
         return Content.recovered
-    return (
-        Content.broken
-        if any(fault.certain for fault in scan.losses.damage) or not scan.losses.damage
-        else Content.opaque
-    )
+    return Content.broken if any(fault.certain for fault in losses.damage) or not losses.damage else Content.opaque
 
 
-def _what_is_wrong(scan: Scan) -> str:
-    never_closed = "" if scan.closed else "it has no footer, so it was cut or never closed"
-    if not scan.losses.damage:
+def _what_is_wrong(losses: Losses, *, closed: bool) -> str:
+    never_closed = "" if closed else "it has no footer, so it was cut or never closed"
+    if not losses.damage:
         return never_closed
-    damage = f"damaged {tell_damage(scan.losses.damage)}"
-    if scan.losses.unproven:
-        damage += (
-            f"; {scan.losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
-        )
+    damage = f"damaged {tell_damage(losses.damage)}"
+    if losses.unproven:
+        damage += f"; {losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
     return f"{never_closed}; {damage}" if never_closed else f"it is {damage}"
 
 
-def _summary(
-    content: Content, reason: str | None, facts: McapFacts, timeline: Timeline, problems: list[Problem]
-) -> RecordingSummary:
+def _summary(facts: McapFacts, timeline: Timeline, problems: list[Problem]) -> RecordingSummary:
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     measured: Measured = measure(timeline, _topic_types(facts))
@@ -129,8 +137,7 @@ def _summary(
     ]
     return RecordingSummary(
         format=RecordingFormat.mcap,
-        content=content,
-        reason=reason,
+        content=Content.indexed,
         message_count=measured.message_count,
         start_ns=measured.start_ns,
         end_ns=measured.end_ns,

@@ -124,9 +124,7 @@ def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None)
     return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents, summary)
 
 
-def _mcap_index(
-    source: Source, noticed: Noticed, most_bytes: int | None
-) -> tuple[McapIndex, RecordingSummary | None]:
+def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> tuple[McapIndex, RecordingSummary | None]:
     try:
         return read_index(source), None
     except NotIndexed as refusal:
@@ -137,7 +135,7 @@ def _mcap_index(
 
 
 def _span(index: McapIndex) -> tuple[int | None, int | None]:
-    rows = [row for row in index.table.rows if row.uncompressed_bytes]
+    rows = [row for row in index.table.rows if row.uncompressed_bytes and row.start not in index.unreadable]
     if not rows:
         return None, None
     return min(row.first_ns for row in rows), max(row.last_ns for row in rows)
