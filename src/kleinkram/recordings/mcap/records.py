@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.decompress import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.listening import Held, Listener
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
@@ -24,6 +24,11 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
+PLACEHOLDER = 2**64 - 1
+"""What stands for the length of a record or of data while it is being written (mcap-rs): a recorder that was killed
+leaves it."""
+UNFINISHED_CHUNK_BYTES = FREE_UNPACKED
+"""How much is read of the content of a chunk that does not say how much it holds."""
 STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
 _ATTACHMENT_PLACE = struct.Struct("<QQQQQ")

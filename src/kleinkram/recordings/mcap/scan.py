@@ -110,7 +110,7 @@ class _Scanner:
             self._pass_record(opcode, length, where)
         except Cut as cut:
             if opcode == records.CHUNK:
-                self._read_cut_chunk(cut)
+                self._read_cut_chunk(cut, min(RECORD_HEAD.size + length, stream.left))
             else:
                 self._resync(cut)
         except Malformed as error:
@@ -132,6 +132,8 @@ class _Scanner:
         stream = self._stream
         if wrong := fault(stream.window, stream.at, stream.left):
             raise Malformed(where, wrong)
+        if opcode == records.CHUNK and plausible.is_unfinished_chunk(stream.window, stream.at):
+            raise Cut(where, "a chunk was begun here and never finished: its lengths were never filled in")
         if length > (left := stream.left - RECORD_HEAD.size):
             name = _NAMES.get(opcode, "a record")
             raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
@@ -258,23 +260,35 @@ class _Scanner:
         stream = self._stream
         return stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
-    def _read_cut_chunk(self, cut: Cut) -> None:
-        """Save what there is of a chunk that reaches beyond the end of the file."""
+    def _read_cut_chunk(self, cut: Cut, total: int) -> None:
+        """Save what there is of a chunk that reaches beyond the end of the file, or that was never finished.
+
+        `total`: bytes of the file that are left for it.
+        """
         stream, scan = self._stream, self.scan
         self._end_chunk()
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
         scan.losses.chunks += 1
-        left = stream.left
-        if left <= MAX_AT_ONCE:
-            stream.ahead(left)
-            stored = bytes(stream.window[stream.at + head.data_start :])
-            used = self._save_beginning(without_zero_tail(head.compression, stored) or stored, head)
+        start, before = stream.position, scan.tally.messages
+        if head.is_unfinished:
+            head = head._replace(stored=total - head.data_start)
+        if total <= MAX_AT_ONCE:
+            stream.ahead(total)
+            stored = bytes(stream.window[stream.at + head.data_start : stream.at + total])
+            stored = without_zero_tail(head.compression, stored) or stored
+            used = self._save_beginning(stored, chunks.with_known_size(head, stored))
         else:
-            place = Place(CUT, stream.position, left, head.uncompressed)
+            place = Place(CUT, start, total, head.uncompressed)
             stream.advance(head.data_start)
-            used = self._save_large_beginning(stream.read_up_to, stream.left, head, place)
-        self._give_up(cut, left - used)
+            used = self._save_large_beginning(stream.read_up_to, total - head.data_start, head, place)
+        if start + total == stream.size_bytes:
+            self._give_up(cut, total - used)
+            return
+        stream.advance(start + total - stream.position)
+        scan.losses.note(cut)
+        scan.losses.bytes += total - used
+        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
 
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""

@@ -57,6 +57,10 @@ def read_chunk_head(stream: ForwardStream, length: int) -> ChunkHead:
         raise Malformed(where, f"the name of its compression has {name_length} bytes")
     name = stream.take(name_length).decode("utf-8", "replace")
     (stored,) = _U64.unpack(stream.take(_U64.size))
+    if records.PLACEHOLDER in (length, uncompressed, stored):
+        if uncompressed == records.PLACEHOLDER:
+            uncompressed, crc = records.UNFINISHED_CHUNK_BYTES, 0
+        return ChunkHead(name, uncompressed, crc, stored)
     if stored != end - stream.position:
         raise Malformed(where, f"{stored} bytes are claimed, {end - stream.position} are there")
     return ChunkHead(name, uncompressed, crc, stored)
