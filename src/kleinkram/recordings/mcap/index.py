@@ -14,6 +14,7 @@ from itertools import chain
 
 from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.index_claims import UNKNOWN, ChunkClaim, FoundMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, TAIL, WINDOW
 from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
@@ -147,7 +148,9 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
         timeline.topic(channel.topic)
     watermarks = smallest_to_come(facts.chunks.column(ChunkPlace._fields.index("first_ns")))
     for place, stream, before_ns in zip(facts.chunks, _index_streams(source, facts), watermarks, strict=True):
-        entries = _read_chunk_entries(stream, facts)
+        entries, found = _read_chunk_entries(stream, facts)
+        claim = ChunkClaim(place.start, place.index_start, place.first_ns, place.last_ns, place.channels, UNKNOWN)
+        facts.index_faults.compare(claim, facts.sets.listed(place.channels), found)
         compression = facts.unknown_compression.get(place.start, "")
         if compression:
             compression = read_compression(source, place.start, place.end) or compression
@@ -188,14 +191,16 @@ def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
         yield open_bytes(data, place.index_start)
 
 
-def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEntries]:
+def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[ChunkEntries], FoundMessages]:
     by_topic: dict[str, ChunkEntries] = {}
+    found = FoundMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         if opcode != records.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
+        found.add_index(channel_id, stamps)
         channel = facts.channels.get(channel_id)
         if channel is None:
             raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
@@ -203,7 +208,7 @@ def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEn
         if known is not None:
             stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
         by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
-    return list(by_topic.values())
+    return list(by_topic.values()), found
 
 
 def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losses) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -18,12 +19,14 @@ from kleinkram.recordings.assemble import (
 )
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
+from kleinkram.recordings.index_claims import wrong_times
 from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
 from kleinkram.recordings.mcap.records import McapFacts, McapListener, Schema
 from kleinkram.recordings.mcap.scan import scan_records
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.oddities import gathered
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range
 from kleinkram.recordings.timeline import Timeline
@@ -72,6 +75,9 @@ def scan_mcap(
     if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
+    if not scan.losses.damage:
+        found += _wrong_statistics(scan.facts, scan.tally.timeline)
+    found += scan.facts.index_faults.problems()
     found = found or [*problems]  # a scan says more exactly what is wrong with an index
     found += tell_lateness(scan.tally.lateness)
     summary = _judged(_summary(scan.facts, scan.tally.timeline, found), scan.facts, scan.losses, closed=scan.closed)
@@ -79,8 +85,34 @@ def scan_mcap(
 
 
 def _by_index(facts: McapFacts, timeline: Timeline, losses: Losses, problems: list[Problem]) -> RecordingSummary:
-    summary = _summary(facts, timeline, [*problems, *losses.problems()])
+    found = [*problems, *losses.problems(), *facts.index_faults.problems()]
+    if not losses.damage:
+        found += _wrong_statistics(facts, timeline)
+    summary = _summary(facts, timeline, found)
     return _judged(summary, facts, losses, closed=True)
+
+
+def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
+    """Say where the statistics differ from the messages of a file that is whole."""
+    claimed = facts.statistics
+    runs = [run for times in timeline.topics.values() for run in times.runs]
+    if claimed is None or not runs:
+        return []
+    problems = []
+    span = min(run.first_ns for run in runs), max(run.last_ns for run in runs)
+    if wrong := wrong_times((claimed.start_ns, claimed.end_ns), span):
+        problems.append(Problem("index-damaged", "statistics", f"they say that the messages {wrong}"))
+    counts: dict[str, int] = defaultdict(int)
+    for number, count in claimed.counts:
+        if number in facts.channels:
+            counts[facts.channels[number].topic] += count
+    for topic, count in sorted(counts.items()) if sum(counts.values()) == claimed.messages else ():
+        found = timeline.topics[topic].count if topic in timeline.topics else 0
+        if found != count:
+            problems.append(
+                Problem("counts-disagree", topic, f"the statistics say {count} messages, there are {found}")
+            )
+    return gathered(problems)
 
 
 def _judged(summary: RecordingSummary, facts: McapFacts, losses: Losses, *, closed: bool) -> RecordingSummary:

@@ -94,7 +94,7 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> li
             flat = read_chunk_counts(fields, stream.take(record.data_bytes), where)
             for number, count in zip(flat[0::2], flat[1::2], strict=True):
                 index.counts[number] += count
-            members = index.table.set_number(flat[0::2])
+            members = index.table.sets.number(flat[0::2])
             found.append((fields.u64("chunk_pos"), fields.time_ns("start_time"), fields.time_ns("end_time"), members))
             if len(found) > MAX_CHUNKS:
                 raise Malformed(where, f"more than {MAX_CHUNKS} chunks", certain=False)

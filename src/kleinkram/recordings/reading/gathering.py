@@ -59,7 +59,7 @@ class Gathering:
         place = self._place
         if place is not None and self._remembers(place):
             kind, start, length, uncompressed, stretches = place
-            members = self._table.set_number(self._channels)
+            members = self._table.sets.number(self._channels)
             times = self._first_ns, self._last_ns
             self._table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
             if stretches is not None:

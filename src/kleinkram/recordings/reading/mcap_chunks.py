@@ -155,7 +155,7 @@ class RunBuilder:
         """End the row that was begun, if any: something else follows."""
         if self._count:
             length = self._end - self._start
-            members = self._table.set_number(self._channels)
+            members = self._table.sets.number(self._channels)
             row = Row(self._start, length, self._end, self._first_ns, self._last_ns, RECORDS, members, length)
             self._table.rows.append(row)
         self._first_ns, self._last_ns, self._count = 2**64 - 1, 0, 0

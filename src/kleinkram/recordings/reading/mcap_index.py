@@ -14,12 +14,13 @@ from itertools import chain
 
 from kleinkram.recordings.decompress import is_known_compression
 from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.index_claims import ANY_CHANNEL
 from kleinkram.recordings.limits import TAIL
 from kleinkram.recordings.listening import CHUNK
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_compression
 from kleinkram.recordings.mcap.records import BodyReader
-from kleinkram.recordings.reading.chunk_table import ANY_CHANNEL, ChunkTable, Row
+from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import Definitions
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
@@ -137,7 +138,7 @@ def _read_chunk_index(index: McapIndex, body: bytes, where: str) -> None:
     if not is_known_compression(reader.text()):
         index.unreadable.add(start)
     _stored, uncompressed = reader.fields(_SIZES)
-    known = index.table.set_number(channel_ids) if channel_ids else ANY_CHANNEL
+    known = index.table.sets.number(channel_ids) if channel_ids else ANY_CHANNEL
     end = start + length + index_length
     index.table.rows.append(Row(start, length, end, first_ns, last_ns, CHUNK, known, uncompressed))
 
