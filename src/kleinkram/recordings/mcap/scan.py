@@ -109,12 +109,8 @@ class _Scanner:
             claims.append(ChunkClaim(place.start, place.index_start, *times, place.channels, UNKNOWN))
         if not len(claims):
             return
-        for start in compare_with_scan(claims, self._found, facts.sets, facts.index_faults):
-            # Where the file is damaged, a chunk may be lost, or one may be found that was never meant to be.
-            if not losses.damage:
-                facts.index_faults.note(
-                    start, "either the index lists a chunk that does not stand here, or it lacks one"
-                )
+        is_damaged = bool(losses.damage)
+        compare_with_scan(claims, self._found, facts.sets, facts.index_faults, is_damaged=is_damaged)
 
     def _step(self) -> None:
         """Pass over some messages, over one other record, or over damage."""
