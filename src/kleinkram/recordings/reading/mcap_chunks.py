@@ -8,13 +8,15 @@ from typing import NamedTuple
 
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_NAME, WINDOW
+from kleinkram.recordings.index_claims import FoundMessages
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, WINDOW
 from kleinkram.recordings.listening import RECORDS
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Selection
-from kleinkram.recordings.stream import ForwardStream
+from kleinkram.recordings.sources import Source
+from kleinkram.recordings.stream import ForwardStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -64,6 +66,29 @@ def read_chunk_head(stream: ForwardStream, length: int) -> ChunkHead:
     if stored != end - stream.position:
         raise Malformed(where, f"{stored} bytes are claimed, {end - stream.position} are there")
     return ChunkHead(name, uncompressed, crc, stored)
+
+
+def read_message_index(source: Source, row: Row) -> FoundMessages | None:
+    """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    index_start = row.start + row.length
+    if not 0 < row.end - index_start <= MAX_CHUNK_INDEX:
+        return None
+    stream, found = open_range(source, index_start, row.end), FoundMessages()
+    try:
+        while not stream.at_end():
+            where = f"byte {stream.position}"
+            opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+            if opcode != records.MESSAGE_INDEX:
+                return None
+            channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
+            found.add_index(channel_id, stamps)
+    except Malformed:
+        return None
+    return found
 
 
 def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from operator import gt
 from typing import Protocol
 
 from kleinkram.recordings.errors import NotIndexed
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.reading import bag_chunks, bag_index, mcap_chunks
-from kleinkram.recordings.reading.chunk_table import Row
+from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
 from kleinkram.recordings.reading.errors import TooCostly
+from kleinkram.recordings.reading.index_check import IndexCheck
 from kleinkram.recordings.reading.mcap_index import McapIndex, read_index
 from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
 from kleinkram.recordings.reading.merging import Piece
@@ -69,12 +71,29 @@ class ChunkedMember:
         """Yield the chunks that may hold the messages that are wanted, by first time."""
         return pieces_of(self._file, selection, order)
 
+    def doubt_index(self) -> None:
+        """State that the file's index was seen to be wrong."""
+        if self._file.check is not None:
+            self._file.check.doubt()
+
     def close(self) -> None:
         """Do nothing: whoever opened the source closes it."""
 
 
-MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records, salvage_mcap)
-_BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records, salvage_bag)
+MCAP = ChunkFormat(
+    mcap_chunks.open_chunk,
+    mcap_chunks.parse_messages,
+    mcap_chunks.table_of_records,
+    salvage_mcap,
+    mcap_chunks.read_message_index,
+)
+_BAG = ChunkFormat(
+    bag_chunks.open_chunk,
+    bag_chunks.parse_messages,
+    bag_chunks.table_of_records,
+    salvage_bag,
+    bag_chunks.read_message_index,
+)
 
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
@@ -98,9 +117,18 @@ def open_mcap(
     """
     index, summary = _mcap_index(source, noticed, most_bytes)
     channels = index.definitions.resolve(message_compression)
-    start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
+    check = None
+    if summary is None:
+        check = IndexCheck(source, index.table, noticed, mcap_chunks.read_message_index)
+        if _contradicts_itself(index.table, None if index.unreadable else (index.start_ns, index.end_ns)):
+            check.doubt()
+    is_doubted = check is not None and check.settle()
+    start_ns, end_ns = index.start_ns, index.end_ns
+    if index.message_count is None or is_doubted:
+        start_ns, end_ns = _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents, summary)
+    file = ChunkedFile(source, MCAP, index.table, channels, noticed, check=check)
+    return ChunkedMember(file, contents, summary)
 
 
 def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
@@ -117,11 +145,29 @@ def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None)
         check_cost(source, most_bytes, str(refusal))
         noticed.add(refusal.code, source.name, str(refusal))
         index, summary = bag_index.rebuild_index(source, noticed)
-    rows = index.table.rows
+    rows, check = index.table.rows, None
+    if summary is None:
+        check = IndexCheck(source, index.table, noticed, bag_chunks.read_message_index)
+        if _contradicts_itself(index.table, None):
+            check.doubt()
+            check.settle()
     start_ns = min(rows.column(Row._fields.index("first_ns")), default=None)
     end_ns = max(rows.column(Row._fields.index("last_ns")), default=None)
     contents = Contents(index.channels, index.counts, sum(index.counts.values()), start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents, summary)
+    file = ChunkedFile(source, _BAG, index.table, index.channels, noticed, check=check)
+    return ChunkedMember(file, contents, summary)
+
+
+def _contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None] | None) -> bool:
+    """Say whether the times of chunks cannot be true. `span`: of all messages, as the statistics say; None: unknown."""
+    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    if any(map(gt, firsts, lasts)):
+        return True
+    if span is None or None in span or not firsts:
+        return False
+    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
+    return span != (min(filled, default=span[0]), max(lasts))
 
 
 def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> tuple[McapIndex, RecordingSummary | None]:

@@ -17,7 +17,7 @@ from kleinkram.recordings.grouping import METADATA_NAME, group
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.reading.member import Member, check_cost, open_bag, open_mcap
+from kleinkram.recordings.reading.member import ChunkedMember, Member, check_cost, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.recovered_member import open_recovered
 from kleinkram.recordings.rosbag2.comparing import compare_names
@@ -117,6 +117,14 @@ class _File:
         return PurePosixPath(self.source.name).name
 
 
+def _summary_of(file: _File, member: Member) -> RecordingSummary:
+    """Return what is in a file. Where its index is wrong, the member does not believe it any more."""
+    summary = member.summary or _summarise(file)
+    if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
+        member.doubt_index()
+    return summary
+
+
 def _summarise(file: _File) -> RecordingSummary:
     """Say what is in a file as `klein inspect` does. What was copied to open the file is not fetched again.
 
@@ -168,7 +176,7 @@ class _Opener:
             SourceError: the bytes cannot be read.
         """
         member = self._open(file)
-        self.summaries.append(lambda: member.summary or _summarise(file))
+        self.summaries.append(lambda: _summary_of(file, member))
         return member
 
     def _open(self, file: _File) -> Member:
