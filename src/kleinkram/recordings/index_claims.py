@@ -7,6 +7,7 @@ compares the index of chunks with the message indexes behind them, a scan with t
 from __future__ import annotations
 
 from array import array
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -96,41 +97,46 @@ class FoundMessages:
 class IndexFaults:
     """What is wrong with what an index says of chunks: one fault of a chunk, at most some thousands."""
 
-    _by_chunk: dict[int, str] = field(default_factory=dict)
+    _by_chunk: dict[int, Problem] = field(default_factory=dict)
 
     def note(self, start: int, message: str) -> None:
         """Note what is wrong with what is said of the chunk at `start`; the first fault of a chunk counts."""
+        self._add(start, _fault(start, message))
+
+    def _add(self, start: int, problem: Problem) -> None:
         if len(self._by_chunk) < _MAX_FAULTS:
-            self._by_chunk.setdefault(start, message)
+            self._by_chunk.setdefault(start, problem)
 
     def compare(self, claim: ChunkClaim, listed: frozenset[int] | None, found: FoundMessages) -> None:
         """Compare what is said of a chunk with its messages. `listed`: its channels; None where they are not known."""
-        message = fault_of_claim(claim, listed, found)
-        if message is not None:
-            self.note(claim.start, message)
+        problem = fault_of_claim(claim, listed, found)
+        if problem is not None:
+            self._add(claim.start, problem)
 
     def problems(self) -> list[Problem]:
         """Return all of it as problems, few whatever the number of chunks."""
-        faults = sorted(self._by_chunk.items())
-        return gathered(
-            [Problem("index-damaged", f"chunk at byte {start}", message) for start, message in faults], "chunks"
-        )
+        by_code: dict[str, list[Problem]] = defaultdict(list)
+        for _, problem in sorted(self._by_chunk.items()):
+            by_code[problem.code].append(problem)
+        return [problem for code in sorted(by_code) for problem in gathered(by_code[code], "chunks")]
 
 
-def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, found: FoundMessages) -> str | None:
+def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, found: FoundMessages) -> Problem | None:
     """Return what is wrong with what an index says of a chunk; None where it is right."""
-    if not found.messages:
-        return None if claim.messages in (0, UNKNOWN) else _wrong_count(claim.messages, 0)
-    if wrong := wrong_times((claim.first_ns, claim.last_ns), (found.first_ns, found.last_ns)):
-        return f"the index is wrong: it says that its messages {wrong}"
+    if found.messages and (wrong := wrong_times((claim.first_ns, claim.last_ns), (found.first_ns, found.last_ns))):
+        return _fault(claim.start, f"the index is wrong: it says that its messages {wrong}")
     if listed is not None and not found.channels <= listed:
         missing = ", ".join(map(str, sorted(found.channels - listed)[:5]))
-        return f"the index is wrong: it does not say that the chunk holds messages of channel {missing}"
-    return None if claim.messages in (found.messages, UNKNOWN) else _wrong_count(claim.messages, found.messages)
+        message = f"the index is wrong: it does not say that the chunk holds messages of channel {missing}"
+        return _fault(claim.start, message)
+    if claim.messages in (found.messages, UNKNOWN):
+        return None
+    message = f"the index says that it holds {claim.messages} messages, it holds {found.messages}"
+    return Problem("counts-disagree", f"chunk at byte {claim.start}", message)
 
 
-def _wrong_count(claimed: int, found: int) -> str:
-    return f"the index is wrong: it says that the chunk holds {claimed} messages, it holds {found}"
+def _fault(start: int, message: str) -> Problem:
+    return Problem("index-damaged", f"chunk at byte {start}", message)
 
 
 def wrong_times(claimed: tuple[int, int], found: tuple[int, int]) -> str | None:

@@ -51,6 +51,10 @@ class PackedTable(Generic[Row]):
         at = number * self._columns
         self._cells[at : at + self._columns] = array("Q", row)
 
+    def pop(self) -> None:
+        """Take the last row away, if there is one."""
+        del self._cells[-self._columns :]
+
     def column(self, number: int) -> array[int]:
         """Return one column, in order."""
         return self._cells[number :: self._columns]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -24,6 +25,7 @@ _U32 = struct.Struct("<I")
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
+_MOST_CHECKED = 4
 
 
 class BagListener(Listener, Protocol):
@@ -159,6 +161,23 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
         # A place that is no record, or whose header ends before this field, is none for a later field either.
         untried = max(untried, field_at - _U32.size + 1)
     return None
+
+
+def points_at_messages(content: Buffer, number: int, stamps: Sequence[int], offsets: Sequence[int]) -> bool:
+    """Say whether messages of a connection with these times stand at these places of a chunk; looks at a few of them,
+    the first and the last among them.
+    """
+    count = len(stamps)
+    for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
+        try:
+            record = parse_record(content, offsets[at], "")
+            if record.opcode != records.MESSAGE:
+                return False
+            if (record.fields.u32("conn"), record.fields.time_ns("time")) != (number, stamps[at]):
+                return False
+        except Malformed:
+            return False
+    return True
 
 
 def is_record(data: Buffer, at: int) -> bool:

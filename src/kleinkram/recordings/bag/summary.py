@@ -19,7 +19,8 @@ from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
 from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward, from_source
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, FoundMessages, IndexFaults
 from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
@@ -41,7 +42,8 @@ class _Bag:
     compression: set[str] = field(default_factory=set)
     timeline: Timeline = field(default_factory=Timeline)
     losses: Losses = field(default_factory=Losses)
-    problems: list[Problem] = field(default_factory=list)
+    sets: ChannelSets = field(default_factory=ChannelSets)
+    index_faults: IndexFaults = field(default_factory=IndexFaults)
 
 
 def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
@@ -60,7 +62,9 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
         if source.size_bytes > most_bytes:
             return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
         return scan_bag(from_source(source), [Problem("index-damaged", error.where, error.message)])
-    summary = _summary(bag.timeline, bag.connections, bag.compression, [*bag.losses.problems(), *bag.problems])
+    summary = _summary(
+        bag.timeline, bag.connections, bag.compression, [*bag.losses.problems(), *bag.index_faults.problems()]
+    )
     if not bag.losses.damage:
         return summary
     messages = summary.message_count or 0
@@ -80,7 +84,7 @@ def scan_bag(
     """
     scan = scan_bag_records(forward, listener)
     losses, messages = scan.losses, scan.tally.messages
-    found = losses.problems()
+    found = [*losses.problems(), *scan.index_faults.problems()]
     if scan.listed is not None and scan.listed != messages and not found:
         message = f"the index says {scan.listed} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
@@ -150,7 +154,7 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
             bag.connections[number] = connection
             bag.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
         elif opcode == records.CHUNK_INFO:
-            bag.chunks.append(records.read_chunk_info(fields, data, where))
+            bag.chunks.append(records.read_chunk_info(fields, data, where, bag.sets))
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
         if len(bag.connections) > MAX_TOPICS or bag.names_bytes > MAX_NAMES:
@@ -230,21 +234,20 @@ def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.Chu
 
 def _read_chunk_entries(stream: ForwardStream, bag: _Bag, chunk: ChunkInfo) -> list[ChunkEntries]:
     by_topic: dict[str, ChunkEntries] = {}
-    found = 0
+    found = FoundMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         number, stamps, offsets = records.read_index_data(stream)
         connection = bag.connections.get(number)
         if connection is None:
             raise Malformed(where, f"index data of connection {number}, which the bag does not define")
-        found += len(stamps)
+        found.add_index(number, stamps)
         known = by_topic.get(connection.topic)
         if known is not None:
             stamps, offsets = [*known.stamps, *stamps], array("I", known.offsets) + offsets
         by_topic[connection.topic] = ChunkEntries(connection.topic, stamps, offsets)
-    if found != chunk.messages and len(bag.problems) <= MAX_PROBLEMS:
-        message = f"its index data list {found} messages, the chunk info {chunk.messages}"
-        bag.problems.append(Problem("counts-disagree", f"chunk at byte {chunk.position}", message))
+    claim = ChunkClaim(chunk.position, UNKNOWN, chunk.first_ns, chunk.last_ns, chunk.channels, chunk.messages)
+    bag.index_faults.compare(claim, bag.sets.listed(chunk.channels), found)
     return list(by_topic.values())
 
 

@@ -1,6 +1,6 @@
 """Whether a reader may select chunks by what the index of a file says of them.
 
-The message index behind a chunk tells the times and channels of its messages. Of a file at hand it is compared with the
+The message index behind a chunk tells the times and channels of its messages. Of a local file it is compared with the
 index before a selection is believed; over a network that would cost a request a chunk, so there it is compared once
 something is seen to be wrong, and where nothing at all seems to fit a selection. Where the two differ, the chunk counts
 as holding what either of them says.
@@ -16,10 +16,10 @@ from kleinkram.recordings.listening import CHUNK
 from kleinkram.recordings.reading.ahead import Job, do_ahead
 from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.sources import Source
+from kleinkram.recordings.sources import FileSource, Source
 
 MAX_COMPARED_NEAR = 4096
-"""Chunks of a file at hand that are all compared; of a file with more, so many at even distances are compared first."""
+"""Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
 
 MAX_COMPARED_FAR = 16
 """Likewise over a network, where nothing seems to fit a selection."""
@@ -58,7 +58,7 @@ class IndexCheck:
         Raises:
             SourceError: as `Source.read`.
         """
-        if getattr(self.source, "parallel_reads", 1) == 1:
+        if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
             self._compare_some(MAX_COMPARED_NEAR)
         self.settle()
 
@@ -125,7 +125,7 @@ class IndexCheck:
         fault = fault_of_claim(claim, listed, found)
         if fault is None:
             return row
-        self.noticed.add("index-damaged", f"chunk at byte {row.start}", fault)
+        self.noticed.add(fault.code, fault.where, fault.message)
         first_ns, last_ns = found.first_ns, found.last_ns
         if not is_contradiction:
             first_ns, last_ns = min(first_ns, row.first_ns), max(last_ns, row.last_ns)
