@@ -19,8 +19,8 @@ from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
 from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward, from_source
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, FoundMessages, IndexFaults
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come

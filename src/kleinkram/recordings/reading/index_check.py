@@ -38,6 +38,7 @@ class IndexCheck:
     Attributes:
         is_done: all of it was compared, or it does not come from the file.
         is_doubted: something in it was seen to be wrong.
+        span: earliest and latest log time of all chunks; None while not all of a doubted index was compared.
     """
 
     source: Source
@@ -46,6 +47,7 @@ class IndexCheck:
     read_message_index: ReadMessageIndex
     is_done: bool = False
     is_doubted: bool = False
+    span: tuple[int, int] | None = None
     _is_sampled: bool = False
 
     def doubt(self) -> None:
@@ -79,8 +81,7 @@ class IndexCheck:
         """
         if self.is_done or not self.is_doubted:
             return False
-        self._compare(range(len(self.table.rows)))
-        self.is_done = True
+        self._compare(range(len(self.table.rows)), is_all=True)
         return True
 
     def _compare_some(self, most: int) -> None:
@@ -88,18 +89,22 @@ class IndexCheck:
         if self.is_done or self.is_doubted or self._is_sampled or not count:
             return
         step = max(1, count // most)
-        self._compare([*range(0, count, step), count - 1] if step > 1 else range(count))
+        self._compare([*range(0, count, step), count - 1] if step > 1 else range(count), is_all=step == 1)
         self._is_sampled = True
-        self.is_done = step == 1
 
-    def _compare(self, numbers: Iterable[int]) -> None:
-        rows = self.table.rows
+    def _compare(self, numbers: Iterable[int], *, is_all: bool) -> None:
+        rows, first_ns, last_ns = self.table.rows, UNKNOWN, 0
         for number, found in self._read_message_indexes(numbers):
             row = rows[number]
             corrected = self._corrected(row, found)
             if corrected != row:
                 rows.replace(number, corrected)
                 self.is_doubted = True
+            if row.uncompressed_bytes and (times := _times_of(row, found)):
+                first_ns, last_ns = min(first_ns, times[0]), max(last_ns, times[1])
+        if is_all:
+            self.is_done = True
+            self.span = (first_ns, last_ns) if self.is_doubted and first_ns <= last_ns else None
 
     def _read_message_indexes(self, numbers: Iterable[int]) -> Iterator[tuple[int, FoundMessages | None]]:
         def job_of(number: int) -> Job[tuple[int, FoundMessages | None]]:
@@ -131,3 +136,10 @@ class IndexCheck:
             first_ns, last_ns = min(first_ns, row.first_ns), max(last_ns, row.last_ns)
         channels = ANY_CHANNEL if listed is None else sets.number(listed | found.channels)
         return row._replace(first_ns=first_ns, last_ns=last_ns, channels=channels)
+
+
+def _times_of(row: Row, found: FoundMessages | None) -> tuple[int, int] | None:
+    """Return the times of a chunk by its message index, else as the index says; None where that contradicts itself."""
+    if found is not None and found.messages:
+        return found.first_ns, found.last_ns
+    return (row.first_ns, row.last_ns) if row.first_ns <= row.last_ns else None

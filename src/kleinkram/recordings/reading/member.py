@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import gt
 from typing import Protocol
 
@@ -63,9 +63,17 @@ class ChunkedMember:
     """A file made of chunks."""
 
     def __init__(self, file: ChunkedFile, contents: Contents, summary: RecordingSummary | None = None) -> None:
-        self.contents = contents
+        self._contents = contents
         self.summary = summary
         self._file = file
+
+    @property
+    def contents(self) -> Contents:
+        """What it says of itself; the span by its message indexes once the index was seen to be wrong."""
+        check = self._file.check
+        if check is None or check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield the chunks that may hold the messages that are wanted, by first time."""
@@ -122,10 +130,8 @@ def open_mcap(
         check = IndexCheck(source, index.table, noticed, mcap_chunks.read_message_index)
         if _contradicts_itself(index.table, None if index.unreadable else (index.start_ns, index.end_ns)):
             check.doubt()
-    is_doubted = check is not None and check.settle()
-    start_ns, end_ns = index.start_ns, index.end_ns
-    if index.message_count is None or is_doubted:
-        start_ns, end_ns = _span(index)
+            check.settle()
+    start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
     file = ChunkedFile(source, MCAP, index.table, channels, noticed, check=check)
     return ChunkedMember(file, contents, summary)

@@ -44,8 +44,6 @@ class Recording:
         files: names of the data files, in the order of recording.
         topics: by name.
         message_count: None where only reading all of them would tell.
-        start_ns: earliest log time as the files say, inclusive; None without messages.
-        end_ns: latest log time as the files say, inclusive.
     """
 
     def __init__(self, opened: Opened, noticed: Noticed) -> None:
@@ -60,8 +58,6 @@ class Recording:
         counts = [content.message_count for content in contents]
         self.topics: tuple[Topic, ...] = list_topics(contents)
         self.message_count = None if None in counts else sum(count for count in counts if count is not None)
-        self.start_ns = min((content.start_ns for content in contents if content.start_ns is not None), default=None)
-        self.end_ns = max((content.end_ns for content in contents if content.end_ns is not None), default=None)
 
     @classmethod
     def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
@@ -86,6 +82,18 @@ class Recording:
         noticed = Noticed()
         opened = open_members(what, noticed, most_bytes=most_bytes)
         return cls(opened, noticed)
+
+    @property
+    def start_ns(self) -> int | None:
+        """Earliest log time as the files say, inclusive; None without messages."""
+        starts = (member.contents.start_ns for member in self._members)
+        return min((start_ns for start_ns in starts if start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Latest log time as the files say, inclusive; None without messages."""
+        ends = (member.contents.end_ns for member in self._members)
+        return max((end_ns for end_ns in ends if end_ns is not None), default=None)
 
     @property
     def problems(self) -> tuple[Problem, ...]:
