@@ -139,6 +139,11 @@ def _fault(start: int, message: str) -> Problem:
     return Problem("index-damaged", f"chunk at byte {start}", message)
 
 
+def wrong_compression(named: str) -> str:
+    """Say that an index names a compression for a chunk which can be read."""
+    return f"the index is wrong: it says that the chunk is compressed by '{named}'"
+
+
 def wrong_times(claimed: tuple[int, int], found: tuple[int, int]) -> str | None:
     """Say how claimed times of messages, earliest and latest, differ from those found; None where they are equal."""
     parts = [

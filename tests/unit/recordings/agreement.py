@@ -7,6 +7,7 @@ server. They agree when
 * every code of a problem that the summary names is named by all others. They may name more, never fewer;
 * of messages whose topic the file does not define, the summary and the scan tell how many there are, and `Recording`
   yields none: it names `topic-undefined`;
+* of a damaged recording, `Recording` may say the span that its index says, lost messages included;
 * only damage that no index shows makes the scan count less than the summary. Then the scan's content is `recovered`,
   and `Recording` yields what the scan counts.
 """
@@ -158,6 +159,8 @@ def disagreements(accounts: Accounts) -> list[str]:
                 found.append(f"{who} refuses what the scan calls {scan.content}")
             continue
         account = reading.account
+        if scan.content is not Content.indexed and _contains(account.span, scan.span):
+            account = replace(account, span=scan.span)
         found += _differences(who, account, "the scan", _without_undefined_topics(scan))
         found += _fewer_problems(who, account, "the summary", summary)
         if reading.claimed_count not in (None, summary.count) and summary.content is Content.indexed:
@@ -165,6 +168,12 @@ def disagreements(accounts: Accounts) -> list[str]:
     if accounts.near is not None and accounts.far is not None and accounts.near.messages != accounts.far.messages:
         found.append("Recording yields other messages far than near")
     return found
+
+
+def _contains(outer: tuple[int | None, int | None], inner: tuple[int | None, int | None]) -> bool:
+    if outer[0] is None or outer[1] is None or inner[0] is None or inner[1] is None:
+        return True
+    return outer[0] <= inner[0] and inner[1] <= outer[1]
 
 
 def _without_undefined_topics(account: Account) -> Account:

@@ -14,7 +14,7 @@ from itertools import chain
 
 from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.index_claims import UNKNOWN, ChunkClaim, FoundMessages
+from kleinkram.recordings.index_claims import UNKNOWN, ChunkClaim, FoundMessages, wrong_compression
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, TAIL, WINDOW
 from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
@@ -151,9 +151,11 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
         entries, found = _read_chunk_entries(stream, facts)
         claim = ChunkClaim(place.start, place.index_start, place.first_ns, place.last_ns, place.channels, UNKNOWN)
         facts.index_faults.compare(claim, facts.sets.listed(place.channels), found)
-        compression = facts.unknown_compression.get(place.start, "")
-        if compression:
-            compression = read_compression(source, place.start, place.end) or compression
+        compression = named = facts.unknown_compression.get(place.start, "")
+        if named:
+            compression = read_compression(source, place.start, place.end) or named
+            if is_known_compression(compression):
+                facts.index_faults.note(place.start, wrong_compression(named))
         if is_known_compression(compression):
             sizes = place.uncompressed_bytes, place.compressed_bytes
             timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])

@@ -21,6 +21,7 @@ from kleinkram.recordings.index_claims import (
     FoundMessages,
     compare_with_scan,
     new_table,
+    wrong_compression,
     wrong_times,
 )
 from kleinkram.recordings.large_chunk import pieces_of
@@ -109,6 +110,10 @@ class _Scanner:
             claims.append(ChunkClaim(place.start, place.index_start, *times, place.channels, UNKNOWN))
         if not len(claims):
             return
+        for chunk in self._found if facts.unknown_compression else ():
+            named = facts.unknown_compression.get(chunk.start)
+            if named is not None and chunk.messages != UNKNOWN:
+                facts.index_faults.note(chunk.start, wrong_compression(named))
         is_damaged = bool(losses.damage)
         compare_with_scan(claims, self._found, facts.sets, facts.index_faults, is_damaged=is_damaged)
 
