@@ -7,7 +7,8 @@ server. They agree when
 * every code of a problem that the summary names is named by all others. They may name more, never fewer;
 * of messages whose topic the file does not define, the summary and the scan tell how many there are, and `Recording`
   yields none: it names `topic-undefined`;
-* of a damaged recording, `Recording` may say the span that its index says, lost messages included;
+* `Recording` says the span of all messages: of a damaged recording lost ones may be included, as its index says them,
+  and so are suspect stamps, which the others leave out;
 * only damage that no index shows makes the scan count less than the summary. Then the scan's content is `recovered`,
   and `Recording` yields what the scan counts.
 """
@@ -79,6 +80,7 @@ class Accounts:
     scan: Account
     near: Reading | None
     far: Reading | None
+    server: Account | None = None
 
 
 def accounts_of(folder: Path) -> list[Accounts]:
@@ -126,10 +128,11 @@ def read(inspection: Inspection, open_file: type[FileSource]) -> Reading | None:
             recording = stack.enter_context(Recording.open(what))
         except NotARecording:
             return None
-        return _reading(recording)
+        return reading_of(recording)
 
 
-def _reading(recording: Recording) -> Reading:
+def reading_of(recording: Recording) -> Reading:
+    """Read all messages of a recording that is open."""
     messages = tuple(
         (message.topic, message.log_time_ns, message.publish_time_ns, message.sequence, sha256(message.data).digest())
         for message in recording.raw_messages()
@@ -152,6 +155,9 @@ def disagreements(accounts: Accounts) -> list[str]:
     is_damaged_inside = summary.content is Content.indexed and scan.content is Content.recovered
     found = [] if is_damaged_inside else _differences("the scan", scan, "the summary", summary)
     found += _fewer_problems("the scan", scan, "the summary", summary)
+    if accounts.server is not None:
+        found += _differences("the server", accounts.server, "the scan", scan)
+        found += _fewer_problems("the server", accounts.server, "the scan", scan)
     for name, reading in (("near", accounts.near), ("far", accounts.far)):
         who = f"Recording ({name})"
         if reading is None:
@@ -159,7 +165,8 @@ def disagreements(accounts: Accounts) -> list[str]:
                 found.append(f"{who} refuses what the scan calls {scan.content}")
             continue
         account = reading.account
-        if scan.content is not Content.indexed and _contains(account.span, scan.span):
+        may_differ = scan.content is not Content.indexed or "suspect-stamps" in scan.problems
+        if may_differ and _contains(account.span, scan.span):
             account = replace(account, span=scan.span)
         found += _differences(who, account, "the scan", _without_undefined_topics(scan))
         found += _fewer_problems(who, account, "the summary", summary)
