@@ -89,7 +89,11 @@ class FoundMessages:
 
     def _add_stamps(self, stamps: Sequence[int]) -> None:
         if stamps:
-            self.first_ns, self.last_ns = min(self.first_ns, min(stamps)), max(self.last_ns, max(stamps))
+            first_ns, last_ns = min(stamps), max(stamps)
+            if first_ns < self.first_ns:
+                self.first_ns = first_ns
+            if last_ns > self.last_ns:
+                self.last_ns = last_ns
             self.messages += len(stamps)
 
 
@@ -146,12 +150,14 @@ def wrong_compression(named: str) -> str:
 
 def wrong_times(claimed: tuple[int, int], found: tuple[int, int]) -> str | None:
     """Say how claimed times of messages, earliest and latest, differ from those found; None where they are equal."""
+    if claimed == found:
+        return None
     parts = [
         f"{what} {abs(said - true) / 1e9:.9g} s {'later' if said > true else 'earlier'}"
         for what, said, true in zip(("begin", "end"), claimed, found, strict=True)
         if said != true
     ]
-    return f"{' and '.join(parts)} than they do" if parts else None
+    return f"{' and '.join(parts)} than they do"
 
 
 def compare_with_scan(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Sequence
+from array import array
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -25,7 +25,7 @@ _U32 = struct.Struct("<I")
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
-_MOST_CHECKED = 4
+_MOST_CHECKED = 2
 
 
 class BagListener(Listener, Protocol):
@@ -163,21 +163,34 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
     return None
 
 
-def points_at_messages(content: Buffer, number: int, stamps: Sequence[int], offsets: Sequence[int]) -> bool:
-    """Say whether messages of a connection with these times stand at these places of a chunk; looks at a few of them,
-    the first and the last among them.
+def points_at_messages(content: Buffer, number: int, entries: array[int], layout: MessageLayout | None) -> bool:
+    """Say whether messages of a connection stand where index data say; looks at a few, the first and last among them.
+
+    `entries`: seconds, nanoseconds and place in the chunk of each message.
 
     Raises:
-        Malformed: no record stands at one of them.
+        Malformed: no record stands at one of the places.
     """
-    count = len(stamps)
+    count = len(entries) // 3
     for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
-        record = parse_record(content, offsets[at], "")
-        if record.opcode != records.MESSAGE:
-            return False
-        if (record.fields.u32("conn"), record.fields.time_ns("time")) != (number, stamps[at]):
+        seconds, nanoseconds, place = entries[3 * at : 3 * at + 3]
+        found = _message_at(content, place, layout)
+        if found != (number, seconds, nanoseconds):
             return False
     return True
+
+
+def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tuple[int, int, int] | None:
+    """Return connection, seconds and nanoseconds of the message at a place; None of another record."""
+    if layout is not None and place + layout.layout.size <= len(content):
+        fields = layout.layout.unpack_from(content, place)
+        if layout.constants(fields) == layout.expected:
+            return layout.values(fields)[:3]
+    record = parse_record(content, place, "")
+    if record.opcode != records.MESSAGE:
+        return None
+    seconds, nanoseconds = divmod(record.fields.time_ns("time"), 10**9)
+    return record.fields.u32("conn"), seconds, nanoseconds
 
 
 def is_record(data: Buffer, at: int) -> bool:

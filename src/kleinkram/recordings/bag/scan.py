@@ -30,7 +30,7 @@ from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
-from kleinkram.recordings.stream import Cut, Lookahead, open_bytes
+from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
 _LOOK = 64 * 2**10
@@ -234,13 +234,12 @@ class _Scanner:
 
     def _check_index_data(self, start: int, record: Record) -> None:
         """Compare the index data of a connection, which come next, with the messages that they point at."""
-        stream = self._stream
-        total = record.end - record.start
-        stream.ahead(total)
-        data = bytes(stream.window[stream.at : stream.at + total])
+        stream, data_at = self._stream, record.data_start - record.start
+        stream.ahead(record.end - record.start)
+        data = stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes]
         try:
-            number, stamps, offsets = records.read_index_data(open_bytes(data, stream.position))
-            is_right = contents.points_at_messages(self._content, number, stamps, offsets)
+            number, entries = record.fields.u32("conn"), records.array_u32(bytes(data))
+            is_right = contents.points_at_messages(self._content, number, entries, self.scan.facts.layout)
         except Malformed:
             is_right = False
         if not is_right:
