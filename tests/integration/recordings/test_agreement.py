@@ -31,7 +31,7 @@ def account_on_server(api: Api, recording: RecordingRead) -> Account:
         topics[topic["name"]] = (known_type, count)
     codes = {problem.code for problem in recording.problems}
     return Account(
-        tuple(PurePosixPath(path).name for path in recording.paths),
+        tuple(name for path in recording.paths if (name := PurePosixPath(path).name) != "metadata.yaml"),
         Content(recording.content.value),
         recording.message_count,
         (recording.start_ns, recording.end_ns),
