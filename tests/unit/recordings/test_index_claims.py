@@ -165,6 +165,21 @@ def test_every_span_and_topic_is_complete_though_the_index_is_wrong(
         assert (recording.start_ns, recording.end_ns) == (every[0][1], every[-1][1])
 
 
+def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_compared(tmp_path: Path) -> None:
+    """The times of chunks 1 and 2 are so wrong that nothing seems to lie there, and the statistics do not show it."""
+
+    def moved(number: int, body: bytearray) -> None:
+        if number in (1, 2):
+            struct.pack_into("<QQ", body, 0, T0, T0 + S)
+
+    path = tmp_path / "moved.mcap"
+    path.write_bytes(change_mcap(records.CHUNK_INDEX, moved))
+    with ParallelSource(path) as source, Recording.open(source) as recording:
+        start = T0 + PER_CHUNK * S
+        found = [m.log_time_ns for m in recording.raw_messages(start=start, end=start + 2 * PER_CHUNK * S)]
+        assert found == [start + number * S for number in range(2 * PER_CHUNK)]
+
+
 @NEAR_AND_FAR
 def test_wrong_times_in_the_statistics_are_named_and_not_repeated(source: type[FileSource], tmp_path: Path) -> None:
     def shift(_: int, body: bytearray) -> None:

@@ -324,7 +324,9 @@ class _Scanner:
             stream.ahead(total)
             stored = bytes(stream.window[stream.at + head.data_start : stream.at + total])
             stored = without_zero_tail(head.compression, stored) or stored
-            used = self._save_beginning(stored, chunks.with_known_size(head, stored))
+            if head.is_unfinished and scan.losses.may_unpack(MAX_AT_ONCE, end=start + total):
+                head = chunks.with_known_size(head, stored)
+            used = self._save_beginning(stored, head)
         else:
             place = Place(CUT, start, total, head.uncompressed)
             stream.advance(head.data_start)

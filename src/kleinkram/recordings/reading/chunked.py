@@ -117,7 +117,8 @@ class _Reader:
         if check is not None and is_limited:
             check.before_selecting()
         self._numbers = file.table.select(self._selection, wanted)
-        if check is not None and wanted and not self._numbers and check.when_nothing_fits():
+        if check is not None and wanted and not self._numbers:
+            check.when_nothing_fits()
             self._numbers = file.table.select(self._selection, wanted)
         return self._numbers
 

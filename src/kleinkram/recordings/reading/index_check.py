@@ -64,14 +64,14 @@ class IndexCheck:
             self._compare_some(MAX_COMPARED_NEAR)
         self.settle()
 
-    def when_nothing_fits(self) -> bool:
-        """Compare a few chunks of a selection that nothing seems to fit; return whether the table has changed.
+    def when_nothing_fits(self) -> None:
+        """Compare a few chunks, because nothing seems to fit a selection.
 
         Raises:
             SourceError: as `Source.read`.
         """
         self._compare_some(MAX_COMPARED_FAR)
-        return self.settle()
+        self.settle()
 
     def settle(self) -> bool:
         """Compare all chunks, if the index is doubted; return whether that was done now.

@@ -103,13 +103,13 @@ class _File:
 
     Attributes:
         path: where it stands on this machine.
-        copy: where a copy of it stands that was made to open it.
+        database: where it stands as a database that SQLite reads: the file itself, or a copy that was made to open it.
         unpacked: what is inside, where the file is compressed as a whole.
     """
 
     source: Source
     path: Path | None = None
-    copy: Path | None = None
+    database: Path | None = None
     unpacked: _File | None = None
 
     @property
@@ -134,13 +134,13 @@ def _summarise(file: _File) -> RecordingSummary:
     inner = file.unpacked
     if inner is not None:
         return scan(SourceForward(inner.source, path=inner.path))
+    if file.database is not None:
+        with FileSource(file.database) as source:
+            source.name = file.base_name
+            return summarise(source, most_bytes=None)
     if file.path is not None:
         with FileSource(file.path) as source:
             return summarise(source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
-    if file.copy is not None:
-        with FileSource(file.copy) as source:
-            source.name = file.base_name
-            return summarise(source, most_bytes=None)
     return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
 
 
@@ -208,9 +208,7 @@ class _Opener:
 
     def _open_database(self, file: _File) -> Member:
         name = file.source.name
-        path = file.path
-        if path is None:
-            path = file.copy = self._copy(SourceForward(file.source).read, name)
+        path = file.database = file.path or self._copy(SourceForward(file.source).read, name)
         compression = self.message_compression
 
         def recover() -> Member:
