@@ -10,9 +10,9 @@ from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissin
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_text import parse_idl
 from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
-from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
+from kleinkram.recordings.decoding.msg_text import Ros, parse_msg, short_name
 from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
-from kleinkram.recordings.decoding.schema import Struct
+from kleinkram.recordings.decoding.schema import Layout, Struct, layout_of
 from kleinkram.recordings.decoding.well_known import well_known_definition
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
 
@@ -28,12 +28,14 @@ class Decoder:
             ROS, what `json` makes of it for JSON, a message of the definition's own class for protobuf. Texts are
             UTF-8, with U+FFFD for what is not. Arrays are views: they keep the bytes that were given alive.
         struct: the layout of a ROS type; None for others.
+        layout: equal for schemas whose messages are decoded to the same fields and types.
     """
 
     type_name: str
     message_encoding: str
     decode: Callable[[bytes], object]
     struct: Struct | None
+    layout: Layout
 
 
 @lru_cache(maxsize=512)
@@ -57,9 +59,10 @@ def decoder_for(
 
 def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes) -> Decoder | Undecodable:
     if message_encoding == "json":
-        return Decoder(name, message_encoding, json_decode(name), None)
+        return Decoder(name, message_encoding, json_decode(name), None, ())
     if message_encoding == "protobuf" and schema_encoding == "protobuf":
-        return Decoder(name, message_encoding, protobuf_decode(name, data), None)
+        decode, layout = protobuf_decode(name, data)
+        return Decoder(name, message_encoding, decode, None, layout)
     if message_encoding == "cdr" and not data:
         text = well_known_definition(name)
         if text is None and not schema_encoding:
@@ -70,9 +73,29 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
     if parse is None:
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"
         return Undecodable(name, f"messages encoded as '{message_encoding}' {how} are not decoded")
+    if not data.strip() and not _is_empty_type(name):
+        return Undecodable(name, "the definition in the recording is empty, and the type is none of the empty ones")
     struct = parse(name, data.decode("utf-8", "replace"))
     decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
-    return Decoder(name, message_encoding, decode, struct)
+    return Decoder(name, message_encoding, decode, struct, layout_of(struct))
+
+
+_EMPTY_TYPES = frozenset(
+    (
+        "std_msgs/Empty",
+        "std_srvs/Empty",
+        "std_srvs/Empty_Request",
+        "std_srvs/Empty_Response",
+        "std_srvs/EmptyRequest",
+        "std_srvs/EmptyResponse",
+        "std_srvs/Trigger_Request",
+        "std_srvs/TriggerRequest",
+    )
+)
+
+
+def _is_empty_type(name: str) -> bool:
+    return short_name(name) in _EMPTY_TYPES
 
 
 _PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {
