@@ -263,18 +263,21 @@ def _column(column: Column, values: list[Any]) -> Any:
     import pyarrow as pa
 
     for name in column.names:
-        values = [None if value is None else getattr(value, name) for value in values]
+        values = [None if value is None else getattr(value, name, None) for value in values]
     return pa.array([None if value is None else _cell(column.kind, value) for value in values], arrow_type(column.kind))
 
 
 def _cell(kind: Type, value: Any) -> Any:
-    """Return a value as Arrow takes it."""
+    """Return a value as Arrow takes it; None where the definition of another release lacks a field."""
+    if value is None:
+        return None
     if is_time(kind):
         whole, rest = (getattr(value, name) for name in value._fields)
         return whole * NS + rest
     if isinstance(kind, Struct):
         return {
-            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name)) for field in kind.fields
+            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name, None))
+            for field in kind.fields
         }
     if isinstance(kind, Array):
         if is_bytes(kind):
