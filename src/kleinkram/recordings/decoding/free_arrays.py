@@ -102,7 +102,7 @@ class FreeArrays:
 
 
 def joined(tables: Iterable[Any], notice: Callable[[int, DecodeError], None]) -> Any:
-    """Return batches as one table: each column has the type of its first batch; what cannot be cast is null and named."""
+    """Return batches as one table: a column has the type of its first batch; what cannot be cast is null."""
     tables = list(tables)
     for name in dict.fromkeys(name for table in tables for name in table.column_names):
         having = [place for place, table in enumerate(tables) if name in table.column_names]

@@ -82,7 +82,7 @@ def to_plain(value: object) -> Any:
 
 
 def to_row(value: object) -> Any:
-    """Return what `to_plain` returns, with each protobuf map as a list of `{"key": ..., "value": ...}`, as Arrow has it."""
+    """Return what `to_plain` returns, with protobuf maps as lists of `{"key": ..., "value": ...}`, as in Arrow."""
     return _plain(value, lambda pairs: [{"key": key, "value": part} for key, part in pairs])
 
 

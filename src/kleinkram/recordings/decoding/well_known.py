@@ -14,7 +14,7 @@ from kleinkram.recordings.decoding.msg_text import short_name
 
 @lru_cache(maxsize=1)
 def known_definitions() -> dict[str, list[str]]:
-    """Return the definitions by short names such as "sensor_msgs/Imu", the default first, then those of other releases."""
+    """Return the definitions by short names ("sensor_msgs/Imu"): the default first, then those of other releases."""
     text = (files("kleinkram.recordings.decoding") / "well_known.txt").read_text("utf-8")
     found: dict[str, list[str]] = {}
     for line in text.splitlines():

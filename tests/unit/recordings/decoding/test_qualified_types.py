@@ -1,4 +1,4 @@
-"""Packages whose types share base names: every field has the type that its definition names, as other readers say too."""
+"""Packages whose types share base names: every field has the type that its definition names."""
 
 from __future__ import annotations
 
