@@ -47,8 +47,6 @@ class _Log:
     waiting: int = 0
     without_time: int = 0
     before_start: int = 0
-    unexpected_before_start: int = 0
-    spoken: set[str] = field(default_factory=set)
     undefined: int = 0
     dropouts: int = 0
     dropped_ms: int = 0
@@ -112,11 +110,7 @@ def _read_data(log: _Log, body: bytes) -> None:
     if place is None or at + _U64.size > len(body) or (stamp := _U64.unpack_from(body, at)[0]) > _LATEST_US:
         log.without_time += 1
         return
-    if stamp < log.start_us:
-        log.before_start += 1
-        # A logger begins with the latest message of each topic; any other cannot be older than the log.
-        log.unexpected_before_start += name in log.spoken
-    log.spoken.add(name)
+    log.before_start += stamp < log.start_us
     log.stamps[name].append(max(stamp, log.start_us) * 1000)
     log.sizes[name] += _HEAD.size + len(body)
     log.waiting += 1
@@ -194,8 +188,8 @@ def _problems(log: _Log) -> list[Problem]:
     if log.without_time:
         message = f"{log.without_time} messages have no timestamp that can be read; left out"
         problems.append(Problem("rows-unusable", "file", message))
-    if log.unexpected_before_start:
-        message = f"{log.unexpected_before_start} messages are stamped before the log's start; their log time is that of the start"
+    if log.before_start:
+        message = f"{log.before_start} messages are stamped before the log's start; their log time is that of the start"
         problems.append(Problem("stamps-before-start", "file", message))
     if log.undefined:
         message = f"{log.undefined} messages belong to no topic that the log defines; left out"
@@ -207,7 +201,6 @@ def _facts(log: _Log) -> list[Fact]:
     return [
         Fact("version", log.version),
         Fact("start_since_boot", log.start_us / 1e6, "s"),
-        Fact("messages_before_start", log.before_start),
         Fact("logged_texts", log.texts),
         Fact("parameters", log.parameters),
         Fact("dropouts", log.dropouts),
