@@ -80,7 +80,7 @@ def test_real_flight_log(entry: Entry, recordings_dir: Path) -> None:
     assert (summary.format, summary.content, summary.reason) == (RecordingFormat.ulog, Content.indexed, None)
     assert summary.message_count == expected["messages"]
     assert {problem.code for problem in summary.problems} <= {"stamps-before-start"}
-    assert bool(summary.problems) == (entry.path == "other/px4_sample.ulg")
+    assert bool(summary.problems) == (entry.name == "other/px4_sample.ulg")
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
     found = [(t.name, t.message_type, t.count) for t in summary.topics]
     assert found == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
