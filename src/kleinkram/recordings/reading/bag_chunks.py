@@ -182,10 +182,17 @@ def table_of_records(stream: ForwardStream) -> ChunkTable:
     return table
 
 
+_MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
+"""The md5sum of a type without fields: its empty definition is no missing one."""
+
+
 def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Channel]:
     """Return number and channel of a connection record."""
     inner = Fields(data, where)
     topic = fields.text("topic") or inner.text("topic", "")
     name = inner.text("type")
-    schema = Schema(name, "ros1msg", inner.blob("message_definition"))
+    definition = inner.blob("message_definition")
+    if not definition.strip() and inner.text("md5sum", "") == _MD5_OF_NOTHING:
+        definition = b"# no fields\n"
+    schema = Schema(name, "ros1msg", definition)
     return fields.u32("conn"), Channel(topic, "ros1", schema)

@@ -54,6 +54,14 @@ _READ_WHOLE = {
 
 _UNREAD = {RecordingFormat.ulog: "ULog of PX4", RecordingFormat.svo2: "SVO2 of a ZED camera"}
 
+_SUMMARY = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
+_USE_INSTEAD = {
+    RecordingFormat.tum: f"a trajectory (TUM), {_SUMMARY} {_TRAJECTORY_FACTS}",
+    RecordingFormat.kitti: f"a trajectory (KITTI), {_SUMMARY} {_TRAJECTORY_FACTS}",
+    RecordingFormat.csv: f"a table (CSV), {_SUMMARY} columns, rows and poses, and `pandas.read_csv` for the rows",
+}
+
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 
@@ -198,6 +206,8 @@ class _Opener:
             raise NotARecording(file.source.name, "it has 0 bytes")
         if kind in _UNREAD:
             raise NotARecording(file.source.name, f"it is a {_UNREAD[kind]}, and reading that format is not supported")
+        if kind in _USE_INSTEAD:
+            raise NotARecording(file.source.name, f"it is {_USE_INSTEAD[kind]}")
         raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
 
     def _most_bytes(self, source: Source) -> int | None:

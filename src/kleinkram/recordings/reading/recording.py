@@ -226,7 +226,7 @@ class Recording:
         schema = topic.schema
         selection = Selection(frozenset((name,)), *_span(start, end))
         decoder = decoder_for(topic.message_encoding, schema.name, schema.encoding, schema.data)
-        return decoder, timed(self._blocks(selection), schema, self._noticed)
+        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._noticed)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
