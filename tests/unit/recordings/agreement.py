@@ -116,13 +116,15 @@ def account_of(inspection: Inspection) -> Account:
 def read(inspection: Inspection, open_file: type[FileSource]) -> Reading | None:
     """Read all messages of a recording; None where `Recording` says that it holds none that it reads.
 
-    Near, a path is opened as a person would; far, and where a set of files has no path, its files.
+    Near, a path is opened as a person would; far, and where a set of files has no path of its own, its files.
     """
     path = Path(inspection.path)
+    is_path_of_all = path.is_dir() or len(inspection.members) == 1
     with ExitStack() as stack:
         what: Path | list[FileSource] = path
-        if open_file is not FileSource or not path.exists():
-            files = [path / "metadata.yaml", *map(Path, inspection.members)]
+        if open_file is not FileSource or not is_path_of_all:
+            logs = [Path(f"{member}-wal") for member in inspection.members]
+            files = [path / "metadata.yaml", *map(Path, inspection.members), *logs]
             what = [stack.enter_context(open_file(file)) for file in files if file.is_file()]
         try:
             recording = stack.enter_context(Recording.open(what))
