@@ -208,6 +208,14 @@ class Settings(BaseSettings):
     ] = "affiliated"
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
+    connections_per_address: Annotated[
+        int,
+        Field(
+            ge=16,
+            description="Connections that one address may have open with one API process; trusted proxies may have any "
+            "number.",
+        ),
+    ] = 512
     sign_ins_per_minute: Annotated[
         PerMinute,
         Field(description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any."),
