@@ -289,7 +289,7 @@ class Storage:
         except LOST as error:
             raise StoreUnavailable(reason=f"reading stopped: {why(error)}") from error
 
-    async def read_range(self, key: str, *, offset: int, size_bytes: int) -> bytes:
+    async def read_range(self, key: str, *, offset: int, size_bytes: int, attempts: int = 3) -> bytes:
         """Return some bytes of an object, fewer where it ends before; to be small enough to be held.
 
         Raises:
@@ -298,7 +298,7 @@ class Storage:
         """
         question = Question("GET", key, headers={"Range": f"bytes={offset}-{offset + size_bytes - 1}"})
         try:
-            async with aclosing(self._s3.stream(question)) as pieces:
+            async with aclosing(self._s3.stream(question, attempts=attempts)) as pieces:
                 return b"".join([piece async for piece in pieces])
         except S3Error as error:
             if error.code == "InvalidRange":

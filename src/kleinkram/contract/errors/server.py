@@ -19,7 +19,7 @@ class RateLimited(KleinkramError):
 
 @dataclass(eq=False)
 class TooManyStreams(KleinkramError):
-    """Your account already has {most} streams or waiting requests open, which is the limit. Close a page or a program."""
+    """Your account has {most} streams or waiting requests open, which is the limit. Close a page or a program."""
 
     code = ErrorCode.too_many_streams
     status = 429
