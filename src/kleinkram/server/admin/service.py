@@ -3,7 +3,6 @@
 import datetime
 from typing import Any
 
-from pydantic import SecretStr
 from sqlalchemy import Row, Select
 
 import kleinkram
@@ -29,11 +28,8 @@ from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import missing
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.settings import Settings
+from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.site import Site
-
-# Addresses with passwords in them, and what holds secrets further inside.
-_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "s3_secret_key", "oidc_providers"})
 
 
 async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
@@ -124,9 +120,9 @@ def get_settings(settings: Settings) -> AdminSettings:
         settings=[
             SettingRead(
                 name=f"KLEINKRAM_{name.upper()}",
-                value=None if _is_secret(settings, name) else said[name],
+                value=None if is_secret(name) else said[name],
                 is_set=name in settings.model_fields_set,
-                is_secret=_is_secret(settings, name),
+                is_secret=is_secret(name),
             )
             for name in sorted(said)
         ]
@@ -135,10 +131,6 @@ def get_settings(settings: Settings) -> AdminSettings:
 
 def _scrub(row: Row[Any]) -> ScrubRead:
     return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
-
-
-def _is_secret(settings: Settings, name: str) -> bool:
-    return name in _SECRET or isinstance(getattr(settings, name), SecretStr)
 
 
 async def _sum(db: Connection, state: str, statement: Select[Any]) -> StateAmount:
