@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import contextlib
 import gc
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -78,10 +79,15 @@ def _check(*, as_json: bool) -> NoReturn:
 def _work(settings: Settings) -> None:
     with _loading():
         from kleinkram.server.jobs.worker import run_worker
+        from kleinkram.server.metrics_port import MetricsPortUnusable
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
     os.nice(_NICENESS)
-    asyncio.run(run_worker(settings))
+    try:
+        asyncio.run(run_worker(settings))
+    except MetricsPortUnusable as error:
+        logging.getLogger("kleinkram").critical(str(error))
+        sys.exit(_NOT_STARTED)
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:

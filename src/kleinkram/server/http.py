@@ -118,7 +118,7 @@ class Envelope:
         measures.REQUESTS.labels(scope["method"], path, str(status)).inc()
         if "is_stream" not in scope["state"]:
             measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
-        if path.startswith(("/health", "/metrics")) and status < 500:
+        if path.startswith("/health") and status < 500:
             return
         shown = _shown(scope["path"])
         fields = {"method": scope["method"], "path": shown, "status": status, "request_id": request_id}

@@ -8,11 +8,36 @@ import socket
 
 import uvicorn
 from fastapi import FastAPI
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 _MOST_HEAD_BYTES = 64 * 1024
 _HEAD_WITHIN_S = 30.0
+_NOT_STARTED = "lifespan.startup.failed"
 _TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
+
+
+class _ShortFailure:
+    """An app of whose failure to start the last line is told, a sentence, in place of a traceback."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on everything else."""
+
+        async def send_short(message: Message) -> None:
+            if message["type"] == _NOT_STARTED:
+                message["message"] = _sentence(message["message"])
+            await send(message)
+
+        await self._app(scope, receive, send_short if scope["type"] == "lifespan" else send)
+
+
+def _sentence(traceback: str) -> str:
+    """Return the sentence at a traceback's end where it is one of ours, else all of it: a fault to be looked into."""
+    kind, _, sentence = traceback.strip().splitlines()[-1].partition(": ")
+    return f"not started: {sentence}" if kind.startswith("kleinkram.") else traceback
 
 
 class ApiServer(uvicorn.Server):
@@ -20,6 +45,7 @@ class ApiServer(uvicorn.Server):
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         config.http = BoundedHeads
+        config.app = _ShortFailure(app)
         super().__init__(config)
         self._app = app
 

@@ -130,7 +130,7 @@ class Settings(BaseSettings):
         Field(
             ge=2,
             le=200,
-            description="Connections in a process's pool. Beside it, an API process opens 2 more, and a worker up to 13.",
+            description="Connections in a process's pool; beside it, an API process opens 2 more, a worker 13.",
         ),
     ] = 8
 
@@ -355,7 +355,9 @@ def _with_password(url: str, password: object) -> str:
     scheme, _, rest = url.partition("://")
     userinfo, at, place = rest.partition("@")
     if not at or ":" in userinfo:
-        raise ValueError("a database password needs an address with a user and no password: postgresql://user@host/name")
+        raise ValueError(
+            "a database password needs an address with a user and no password: postgresql://user@host/name"
+        )
     return f"{scheme}://{userinfo}:{quote(str(secret), safe='')}@{place}"
 
 

@@ -13,6 +13,8 @@ from kleinkram.contract.admin import (
     AdminStorage,
     FailedJob,
     JobAmount,
+    RetriedJobs,
+    RetryingJob,
     ScrubRead,
     ScrubState,
     SettingRead,
@@ -25,8 +27,9 @@ from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.blobs import scrubs
 from kleinkram.server.db import Connection
-from kleinkram.server.health.readiness import missing
+from kleinkram.server.health.readiness import readiness
 from kleinkram.server.home.service import is_low, store_use
+from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.site import Site
@@ -47,12 +50,14 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
 
 
 async def get_jobs(db: Connection) -> AdminJobs:
-    """Return the queue, and the jobs that were given up last."""
+    """Return the queue, the jobs that wait for another attempt, and those that were given up last."""
     queue = (await db.execute(queries.QUEUE)).all()
     failed = (await db.execute(queries.FAILED)).all()
+    retrying = (await db.execute(queries.RETRYING)).all()
     return AdminJobs(
         queue=[JobAmount(kind=row.kind, state=row.state, count=row.number, oldest_at=row.oldest_at) for row in queue],
         failed=[FailedJob.model_validate(row._asdict()) for row in failed],
+        retrying=[RetryingJob.model_validate(row._asdict()) for row in retrying],
     )
 
 
@@ -66,6 +71,14 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
     if kind is None:
         raise NotFound(noun="failed job", ref=str(job_id))
     await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
+
+
+async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
+    """Put all jobs that were given up back into the queue, and return how many."""
+    count: int = (await db.execute(queries.RETRY_ALL)).scalar_one()
+    if count:
+        await record(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, by_power=True))
+    return RetriedJobs(count=count)
 
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
@@ -93,20 +106,22 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, belie
 
 async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
     """Return how the server is; asks the store without holding a connection."""
-    not_ready = await missing(site.database, site.storage)
+    found = await readiness(site.database, site.storage)
     async with site.database.begin() as db:
         server = (await db.execute(queries.SERVER)).one()
         here = datetime.datetime.now(datetime.timezone.utc)
-        workers = (await db.execute(queries.WORKERS)).scalars().all()
+        workers = await find_workers(db)
     return AdminHealth(
-        not_ready=not_ready,
+        not_ready=found.missing,
+        warnings=list(found.warnings),
         version=kleinkram.__version__,
         schema_version=HEAD,
         database_version=server.version,
         database_bytes=server.size_bytes,
         now=here,
         clock_skew_s=(here - server.now).total_seconds(),
-        workers_at=list(workers),
+        workers_at=workers.seen_at,
+        worker_last_at=workers.last_seen_at,
         store_checksum=site.storage.checksum.value,
         store_writes_once=site.storage.abilities.writes_once,
         store_takes_pages=takes_pages,

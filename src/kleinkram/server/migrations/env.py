@@ -1,8 +1,9 @@
 """Alembic's entry: one connection, one transaction, one migrator at a time."""
 
-from typing import Any
+from collections.abc import Collection, Mapping
 
 from alembic import context, op
+from alembic.runtime.migration import MigrationContext, MigrationInfo
 from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
 from kleinkram.server.migrations.upgrading import LOCK
@@ -17,13 +18,15 @@ def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compar
     return not (about or "").startswith(("procrastinate", "idx_procrastinate"))
 
 
-def _write_compatible_from(*, step: Any, **_: object) -> None:
-    """Write which programs work on the schema after a step. A revision that does not say so works with none before it.
-
-    Any: Alembic's own record of a step, which it does not type.
-    """
+def _write_compatible_from(
+    ctx: MigrationContext,  # noqa: ARG001  (Alembic passes all by name)
+    step: MigrationInfo,
+    heads: Collection[object],  # noqa: ARG001
+    run_args: Mapping[str, object],  # noqa: ARG001
+) -> None:
+    """Write which programs work on the schema after a step. A revision that does not say so works with none before it."""
     revision = step.up_revision
-    if step.is_upgrade and revision.revision >= _FIRST_TO_SAY:
+    if step.is_upgrade and revision is not None and revision.revision >= _FIRST_TO_SAY:
         oldest = getattr(revision.module, "compatible_from", revision.revision)
         op.execute(text("UPDATE alembic_version SET compatible_from = :oldest").bindparams(oldest=oldest))
 

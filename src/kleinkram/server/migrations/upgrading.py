@@ -93,7 +93,10 @@ def _nothing_to_do(connection: Connection, at: str) -> list[str]:
     problem = later_schema_problem(at, oldest)
     if problem is not None:
         raise SchemaTooNew(f"Nothing was changed: {problem}.")
-    _log.warning("the schema is later than this program, and compatible with it: nothing to do", extra={"fields": {"revision": at}})
+    _log.warning(
+        "the schema is later than this program, and compatible with it: nothing to do",
+        extra={"fields": {"revision": at}},
+    )
     return []
 
 
