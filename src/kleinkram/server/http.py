@@ -69,6 +69,7 @@ class Envelope:
         given = headers.get(b"x-request-id", b"")
         request_id = given.decode() if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = request_id
+        scope["state"]["peer"] = scope["client"][0] if scope.get("client") else ""
         set_asker(scope, scope["headers"], self._trusted)
         note_arrival()
         started = time.perf_counter()

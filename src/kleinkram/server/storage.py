@@ -97,6 +97,11 @@ class Storage:
         self.abilities = abilities
 
     @property
+    def clock_ahead_s(self) -> float:
+        """By how many seconds the store's clock is ahead of this machine's; 0 where the difference is small."""
+        return self._signers.internal.clock.ahead_s
+
+    @property
     def checksum(self) -> ChecksumKind:
         """How the store proves what it receives."""
         return self.abilities.checksum

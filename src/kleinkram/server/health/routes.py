@@ -2,12 +2,13 @@
 
 import ipaddress
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import kleinkram
 from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
+from kleinkram.server.health.proxy_check import seen
 from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent
 from kleinkram.server.settings import Settings
@@ -20,8 +21,10 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 
 
 @probes.get("/health/live")
-async def live() -> PlainTextResponse:
-    """Say that this process answers."""
+async def live(request: Request, settings: CurrentSettings) -> Response:
+    """Say that this process answers; to `check` also how its request reached it."""
+    if (found := seen(request, settings)) is not None:
+        return Response(found.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
 
 

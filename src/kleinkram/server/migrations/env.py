@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 
 from alembic import context, op
 from alembic.runtime.migration import MigrationContext, MigrationInfo
+from alembic.script import Script
 from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
 from kleinkram.server.migrations.upgrading import LOCK
@@ -19,14 +20,14 @@ def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compar
 
 
 def _write_compatible_from(
-    ctx: MigrationContext,  # noqa: ARG001  (Alembic passes all by name)
+    ctx: MigrationContext,
     step: MigrationInfo,
-    heads: Collection[object],  # noqa: ARG001
-    run_args: Mapping[str, object],  # noqa: ARG001
+    heads: Collection[object],
+    run_args: Mapping[str, object],
 ) -> None:
-    """Write which programs work on the schema after a step. A revision that does not say so works with none before it."""
+    """Write which programs work on the schema after a step: none before it, unless its revision says otherwise."""
     revision = step.up_revision
-    if step.is_upgrade and revision is not None and revision.revision >= _FIRST_TO_SAY:
+    if step.is_upgrade and isinstance(revision, Script) and revision.revision >= _FIRST_TO_SAY:
         oldest = getattr(revision.module, "compatible_from", revision.revision)
         op.execute(text("UPDATE alembic_version SET compatible_from = :oldest").bindparams(oldest=oldest))
 
