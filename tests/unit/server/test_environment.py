@@ -31,7 +31,8 @@ def _refusal() -> str:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "right"), [("TRUSTED_PROXY", "TRUSTED_PROXIES"), ("TRASHDAYS", "TRASH_DAYS"), ("S3_SECRET", "S3_SECRET_KEY")]
+    ("wrong", "right"),
+    [("TRUSTED_PROXY", "TRUSTED_PROXIES"), ("TRASHDAYS", "TRASH_DAYS"), ("S3_SECRET", "S3_SECRET_KEY")],
 )
 def test_a_misspelt_setting_is_named_with_the_one_that_was_meant(
     monkeypatch: pytest.MonkeyPatch, wrong: str, right: str
