@@ -103,7 +103,10 @@ def _working(database: _Cluster, store: RunningStore, log: Path) -> Iterator[_Wo
         yield _Worker(process, log, port)
     finally:
         process.terminate()
-        process.wait(60)
+        try:
+            process.wait(60)
+        finally:
+            process.kill()
 
 
 def _does_jobs(database: _Cluster) -> bool:
@@ -143,15 +146,27 @@ def test_a_worker_outlives_restarts_of_postgresql(database: _Cluster, store: Run
     assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "0"
 
 
+def test_a_worker_stops_when_asked_to_although_postgresql_is_away(
+    database: _Cluster, store: RunningStore, tmp_path: Path
+) -> None:
+    with _working(database, store, tmp_path / "log") as worker:
+        child.stop(database.process, sign=signal.SIGQUIT, timeout_s=30)
+        try:
+            worker.process.terminate()
+            assert worker.process.wait(60) == 0
+        finally:
+            database.start()
+
+
 @pytest.mark.slow
 def test_a_job_that_a_restart_cut_short_is_done_again(database: _Cluster, store: RunningStore, tmp_path: Path) -> None:
     with _working(database, store, tmp_path / "log") as worker:
-        with psycopg.connect(database.cluster.url(pg.ADMIN), autocommit=False) as blocker:
-            blocker.execute("LOCK TABLE run IN ACCESS EXCLUSIVE MODE")
-            job_id = _defer(database, "tend_runs")
-            doing = f"SELECT count(*) FROM procrastinate_jobs WHERE id = {job_id} AND status = 'doing'"
-            wait_until(lambda: database.sql(doing) == "1", limit_s=60)
-            with contextlib.suppress(psycopg.Error):
-                database.restart(signal.SIGQUIT)
+        blocker = psycopg.connect(database.cluster.url(pg.ADMIN))
+        blocker.execute("LOCK TABLE run IN ACCESS EXCLUSIVE MODE")
+        job_id = _defer(database, "tend_runs")
+        doing = f"SELECT count(*) FROM procrastinate_jobs WHERE id = {job_id} AND status = 'doing'"
+        wait_until(lambda: database.sql(doing) == "1", limit_s=60)
+        database.restart(signal.SIGQUIT)
+        blocker.close()
         wait_until(lambda: _is_done(database, job_id), limit_s=240)
         assert worker.process.poll() is None

@@ -50,22 +50,29 @@ JOB_MODULES = (_blob_jobs, _recording_jobs, _run_jobs, _upload_jobs)
 async def run_worker(settings: Settings) -> None:
     """Run jobs until SIGTERM or SIGINT; a job under way is finished first, unless a second signal comes."""
     task = asyncio.current_task()
-    if task is not None:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    stopping = asyncio.Event()
+
+    def stop() -> None:
+        # Cancelling alone would not do: where the database is away meanwhile, its error takes the place of the cancelling.
+        stopping.set()
+        if task is not None:
+            task.cancel()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, stop)
     with contextlib.suppress(asyncio.CancelledError):
-        await _open_and_run(settings)
+        await _open_and_run(settings, stopping)
 
 
-async def _open_and_run(settings: Settings) -> None:
+async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     pauses = _Pauses()
-    while True:
+    while not stopping.is_set():
         connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8)
         # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
         with queue.replace_connector(connector) as app:
             try:
                 async with app.open_async():
-                    await _run(app, settings)
+                    await _run(app, settings, stopping)
             except _DATABASE_AWAY as error:
                 await pauses.wait("the worker", error)
 
@@ -89,7 +96,7 @@ class _Pauses:
         self._began = time.monotonic()
 
 
-async def _run(app: App, settings: Settings) -> None:
+async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
     database = open_database(settings, statement_timeout_s=None)
     async with (
         open_storage(settings) as storage,
@@ -107,12 +114,13 @@ async def _run(app: App, settings: Settings) -> None:
             "rests": Rests(),
             "attempts": attempts,
         }
+        lanes = ((DEFAULT, _AT_ONCE), (PROVING, 1), (EXAMINING, 1), (GROUPING, 1))
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
-            asyncio.create_task(_keep_working(app, given, lane=DEFAULT, at_once=_AT_ONCE)),
-            asyncio.create_task(_keep_working(app, given, lane=PROVING, at_once=1)),
-            asyncio.create_task(_keep_working(app, given, lane=EXAMINING, at_once=1)),
-            asyncio.create_task(_keep_working(app, given, lane=GROUPING, at_once=1)),
+            *(
+                asyncio.create_task(_keep_working(app, given, stopping, lane=lane, at_once=at_once))
+                for lane, at_once in lanes
+            ),
             asyncio.create_task(_rescue_stalled(app, attempts)),
         ]
         try:
@@ -128,10 +136,12 @@ async def _run(app: App, settings: Settings) -> None:
     await database.close()
 
 
-async def _keep_working(app: App, given: dict[str, object], *, lane: str, at_once: int) -> None:
-    """Run the jobs of one lane until cancelled; where the database ends that, begin anew."""
+async def _keep_working(
+    app: App, given: dict[str, object], stopping: asyncio.Event, *, lane: str, at_once: int
+) -> None:
+    """Run the jobs of one lane until the process stops; where the database ends that, begin anew."""
     pauses = _Pauses()
-    while True:
+    while not stopping.is_set():
         try:
             await _work(app, given, lane=lane, at_once=at_once)
         except _DATABASE_AWAY as error:  # noqa: PERF203  (what comes between tries is what this is for)
