@@ -53,7 +53,7 @@ async def run_worker(settings: Settings) -> None:
     stopping = asyncio.Event()
 
     def stop() -> None:
-        # Cancelling alone would not do: where the database is away meanwhile, its error takes the place of the cancelling.
+        # Cancelling alone would not do: where the database is away, its error may take the place of the cancelling.
         stopping.set()
         if task is not None:
             task.cancel()
@@ -72,7 +72,7 @@ async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
         with queue.replace_connector(connector) as app:
             try:
                 async with app.open_async():
-                    await _run(app, settings, stopping)
+                    await _run(app, settings)
             except _DATABASE_AWAY as error:
                 await pauses.wait("the worker", error)
 
@@ -96,7 +96,8 @@ class _Pauses:
         self._began = time.monotonic()
 
 
-async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
+async def _run(app: App, settings: Settings) -> None:
+    is_over = asyncio.Event()
     database = open_database(settings, statement_timeout_s=None)
     async with (
         open_storage(settings) as storage,
@@ -118,7 +119,7 @@ async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(
-                asyncio.create_task(_keep_working(app, given, stopping, lane=lane, at_once=at_once))
+                asyncio.create_task(_keep_working(app, given, is_over, lane=lane, at_once=at_once))
                 for lane, at_once in lanes
             ),
             asyncio.create_task(_rescue_stalled(app, attempts)),
@@ -129,6 +130,7 @@ async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
             for task in done:
                 task.result()
         finally:
+            is_over.set()
             courtesy.end()
             for task in tasks:
                 task.cancel()
@@ -136,18 +138,17 @@ async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
     await database.close()
 
 
-async def _keep_working(
-    app: App, given: dict[str, object], stopping: asyncio.Event, *, lane: str, at_once: int
-) -> None:
-    """Run the jobs of one lane until the process stops; where the database ends that, begin anew."""
+async def _keep_working(app: App, given: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int) -> None:
+    """Run the jobs of one lane until all is over; where the database ends that, begin anew."""
     pauses = _Pauses()
-    while not stopping.is_set():
+    while not is_over.is_set():
+        error: Exception | None = None  # where a lane's listener lost its connection, it ends without one
         try:
             await _work(app, given, lane=lane, at_once=at_once)
-        except _DATABASE_AWAY as error:  # noqa: PERF203  (what comes between tries is what this is for)
+        except _DATABASE_AWAY as raised:
+            error = raised
+        if not is_over.is_set():
             await pauses.wait(f"lane {lane}", error)
-        else:  # it ends by itself where its listener lost the connection
-            await pauses.wait(f"lane {lane}", None)
 
 
 async def _work(app: App, given: dict[str, object], *, lane: str, at_once: int) -> None:
