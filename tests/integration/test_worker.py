@@ -21,6 +21,7 @@ from tests.integration.uploading import wait_until
 from tests.ports import choose_port
 from tests.stack import RunningStore
 
+pytestmark = pytest.mark.timeout(400)
 _IN_WORKER = "SELECT count(*) FROM procrastinate_workers WHERE last_heartbeat > now() - interval '20 s'"
 
 
@@ -153,7 +154,7 @@ def test_a_worker_stops_when_asked_to_although_postgresql_is_away(
         child.stop(database.process, sign=signal.SIGQUIT, timeout_s=30)
         try:
             worker.process.terminate()
-            assert worker.process.wait(60) == 0
+            assert worker.process.wait(120) == 0
         finally:
             database.start()
 

@@ -67,7 +67,8 @@ async def run_worker(settings: Settings) -> None:
 async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     pauses = _Pauses()
     while not stopping.is_set():
-        connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8)
+        # Without the timeout, a worker that is asked to stop would wait half a minute for a database that is away.
+        connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
         # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
         with queue.replace_connector(connector) as app:
             try:
