@@ -20,6 +20,16 @@ Buffer = bytes | memoryview
 ReadUpTo = Callable[[int], bytes]
 
 
+def is_known_compression(name: str) -> bool:
+    """Say whether chunks that are compressed so can be read; `name` as MCAP or a bag spells it."""
+    return name in ("", "none", "zstd") or name in _AT_ONCE
+
+
+def unknown_compression(name: str) -> Malformed:
+    """Return why a chunk that is compressed in another way is not read."""
+    return Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+
+
 def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ForwardStream:
     """Decompress what `read` returns; `name` as MCAP or a bag spells it.
 
@@ -35,7 +45,7 @@ def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> For
     if name == "lz4":
         decompressor = lz4.frame.LZ4FrameDecompressor()
         return ForwardStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
-    raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+    raise unknown_compression(name)
 
 
 def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
@@ -53,7 +63,7 @@ def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
         if not whole:
             raise Malformed("chunk", f"its {name} data do not end where it ends")
     else:
-        raise Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+        raise unknown_compression(name)
     if len(raw) != uncompressed_bytes:
         raise Malformed("chunk", f"{uncompressed_bytes} bytes are claimed, {len(raw)} came out")
     return raw

@@ -62,6 +62,13 @@ class Losses:
         """
         return self.vain_bytes > _FREE_VAIN_BYTES + _VAIN_SHARE * position
 
+    def leave_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
+        """Count a chunk of which nothing can be read, and whose index lists so many messages."""
+        self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
+        self.chunks += 1
+        self.bytes += size_bytes
+        self.messages += messages
+
     def note(self, damage: Malformed) -> None:
         """Remember a damaged place."""
         if len(self.damage) < MAX_DAMAGE:

@@ -71,15 +71,15 @@ def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Pro
     return [Problem("long-gap", topic.name, message)]
 
 
-def gathered(problems: Sequence[Problem]) -> list[Problem]:
-    """Put what is said of more than a few topics into one problem."""
+def gathered(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
+    """Put what is said of more than a few topics, or of more than a few of `what`, into one problem."""
     if len(problems) <= _MOST_OF_A_KIND:
         return list(problems)
     first = problems[0]
     others = ", ".join(problem.where for problem in problems[1 : _MOST_NAMED + 1])
     more = ", ..." if len(problems) > _MOST_NAMED + 1 else ""
     message = f"{first.where}: {first.message}; likewise {others}{more}"
-    return [Problem(first.code, f"{len(problems)} topics", message)]
+    return [Problem(first.code, f"{len(problems)} {what}", message)]
 
 
 def _is_long(silence_ns: int | None, rate_hz: float, span_ns: int, periods: int) -> bool:

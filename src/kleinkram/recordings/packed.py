@@ -46,6 +46,15 @@ class PackedTable(Generic[Row]):
             del self._cells[size:]
             raise Malformed("index", "a chunk is said to lie beyond any file") from None
 
+    def replace(self, number: int, row: Row) -> None:
+        """Put another row in the place of one."""
+        at = number * self._columns
+        self._cells[at : at + self._columns] = array("Q", row)
+
+    def pop(self) -> None:
+        """Take the last row away, if there is one."""
+        del self._cells[-self._columns :]
+
     def column(self, number: int) -> array[int]:
         """Return one column, in order."""
         return self._cells[number :: self._columns]

@@ -138,7 +138,7 @@ def test_an_index_that_forgets_a_chunk_is_not_believed() -> None:
     without = without[:at] + bytes(4) + without[at + 4 :]
     summary = summarise_bytes(without)
     assert (summary.content, summary.message_count) == (Content.indexed, 40)
-    assert [problem.code for problem in summary.problems] == ["counts-disagree"]
+    assert [problem.code for problem in summary.problems] == ["index-damaged"]
 
 
 def test_a_chunk_that_holds_more_than_it_claims() -> None:

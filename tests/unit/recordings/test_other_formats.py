@@ -6,6 +6,7 @@ import json
 import math
 import random
 import struct
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,7 +25,9 @@ from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap.writer import McapWriter
 from kleinkram.recordings.other.describe import describe
 from kleinkram.recordings.other.lines import MAX_LINE_BYTES, read_lines
-from kleinkram.recordings.other.trajectories import parse_seconds
+from kleinkram.recordings.other.trajectories import parse_stamp
+from kleinkram.recordings.reading.errors import NotARecording
+from kleinkram.recordings.reading.recording import Recording
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, params
@@ -75,7 +78,9 @@ def test_real_flight_log(entry: Entry, recordings_dir: Path) -> None:
         summary = summarise(source)
     expected = entry.expected
     assert (summary.format, summary.content, summary.reason) == (RecordingFormat.ulog, Content.indexed, None)
-    assert (summary.message_count, summary.problems) == (expected["messages"], ())
+    assert summary.message_count == expected["messages"]
+    assert {problem.code for problem in summary.problems} <= {"stamps-before-start"}
+    assert bool(summary.problems) == (entry.name == "other/px4_sample.ulg")
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
     found = [(t.name, t.message_type, t.count) for t in summary.topics]
     assert found == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
@@ -121,7 +126,7 @@ def test_the_stamp_of_a_flight_log_may_stand_anywhere() -> None:
     assert [(t.name, t.count, t.first_ns, t.last_ns) for t in summary.topics] == [
         ("a", 3, 1_000_000_000, 3_000_000_000),
     ]
-    assert [p.code for p in summary.problems] == ["dropouts", "rows-unusable", "topic-undefined"]
+    assert [p.code for p in summary.problems] == ["dropouts", "rows-unusable", "stamps-before-start", "topic-undefined"]
     assert (facts(summary)["sys_name"], facts(summary)["topics_without_message"]) == ("ABC", 1)
 
 
@@ -188,14 +193,14 @@ def test_kitti() -> None:
 )
 def test_seconds_are_nanoseconds_without_rounding(text: str, expected: int) -> None:
     if text.startswith("."):
-        assert parse_seconds("0" + text) == expected
-    assert parse_seconds(text) == expected
+        assert parse_stamp("0" + text) == expected
+    assert parse_stamp(text) == expected
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e300", "x", "99999999999999999999"])
 def test_seconds_that_no_clock_shows(text: str) -> None:
     with pytest.raises(ValueError, match=r".*"):
-        parse_seconds(text)
+        parse_stamp(text)
 
 
 def test_tables() -> None:
@@ -281,3 +286,39 @@ def test_lines_are_bounded() -> None:
     long = b"x" * (3 * MAX_LINE_BYTES)
     lines = [*read_lines(from_source(MemorySource(b"a\r\n" + long + b"\n\nb")))]
     assert [len(line) for line in lines] == [1, MAX_LINE_BYTES, 0, 1]
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ns.txt", "ns"), ("us.tum", "us"), ("s.tum", None), ("numpy.txt", None)])
+def test_stamps_of_a_trajectory_may_be_in_any_unit(
+    make_case: Callable[[str], Path], name: str, unit: str | None
+) -> None:
+    summary = summarise_text((make_case("20A") / name).read_text(), name)
+    found = facts(summary)
+    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
+    assert found.get("stamp_unit") == unit
+    assert [problem.code for problem in summary.problems] == (["stamp-unit"] if unit else [])
+    start_ns = 1_698_132_949_012_009_859
+    assert summary.start_ns == (start_ns if unit != "us" else start_ns // 1000 * 1000)
+
+
+@pytest.mark.parametrize("columns", [8, 17])
+@pytest.mark.parametrize("header", ["#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w []", ""])
+def test_poses_of_euroc(columns: int, header: str) -> None:
+    start_ns = 1_403_638_128_545_096_874
+    names = [*header.split(","), " q_RS_x []", " q_RS_y []", " q_RS_z []", *["b"] * 9][:columns]
+    rows = [[start_ns + n * 10**8, n * 0.1, 0, 0, 1, 0, 0, 0, *[0.5] * 9][:columns] for n in range(100)]
+    lines = [",".join(map(str, row)) for row in rows]
+    summary = summarise_text("\n".join([",".join(names)] * bool(header) + lines) + "\n", "data.csv")
+    found = facts(summary)
+    assert summary.format is RecordingFormat.csv
+    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
+    assert (found["columns"], found["rows"]) == (columns, 100)
+    assert (summary.start_ns, summary.end_ns) == (start_ns, start_ns + 99 * 10**8)
+    assert summary.problems == ()
+
+
+def test_opening_a_trajectory_says_what_to_use(tmp_path: Path) -> None:
+    path = tmp_path / "a.tum"
+    path.write_text("1 0 0 0 0 0 0 1\n" * 9)
+    with pytest.raises(NotARecording, match=r"trajectory.*klein inspect"):
+        Recording.open(path)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Fields
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, new_table
 from kleinkram.recordings.losses import Losses
+from kleinkram.recordings.packed import PackedTable
 
 
 @dataclass
@@ -17,6 +19,7 @@ class Claims:
     Attributes:
         index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
         messages: that the chunk infos say the bag has.
+        listed: what the chunk infos say of each chunk; its connections are a set of `sets`.
     """
 
     index_start: int | None = None
@@ -24,6 +27,8 @@ class Claims:
     chunks: int = 0
     infos: int = 0
     messages: int = 0
+    sets: ChannelSets = field(default_factory=ChannelSets)
+    listed: PackedTable[ChunkClaim] = field(default_factory=new_table)
     _latest: int = 0
 
     def note_header(self, fields: Fields) -> None:
@@ -39,12 +44,16 @@ class Claims:
         Raises:
             Malformed: it is damaged.
         """
-        self._latest = records.read_chunk_info(fields, data, where).messages
+        info = records.read_chunk_info(fields, data, where, self.sets)
+        times = info.first_ns, info.last_ns
+        self.listed.append(ChunkClaim(info.position, UNKNOWN, *times, info.channels, info.messages))
+        self._latest = info.messages
         self.infos += 1
         self.messages += self._latest
 
     def forget_chunk_info(self) -> None:
         """Take back the latest one: bytes of it are missing."""
+        self.listed.pop()
         self.infos -= 1
         self.messages -= self._latest
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from array import array
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -24,6 +25,7 @@ _U32 = struct.Struct("<I")
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
+_MOST_CHECKED = 2
 
 
 class BagListener(Listener, Protocol):
@@ -159,6 +161,36 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
         # A place that is no record, or whose header ends before this field, is none for a later field either.
         untried = max(untried, field_at - _U32.size + 1)
     return None
+
+
+def points_at_messages(content: Buffer, number: int, entries: array[int], layout: MessageLayout | None) -> bool:
+    """Say whether messages of a connection stand where index data say; looks at a few, the first and last among them.
+
+    `entries`: seconds, nanoseconds and place in the chunk of each message.
+
+    Raises:
+        Malformed: no record stands at one of the places.
+    """
+    count = len(entries) // 3
+    for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
+        seconds, nanoseconds, place = entries[3 * at : 3 * at + 3]
+        found = _message_at(content, place, layout)
+        if found != (number, seconds, nanoseconds):
+            return False
+    return True
+
+
+def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tuple[int, int, int] | None:
+    """Return connection, seconds and nanoseconds of the message at a place; None of another record."""
+    if layout is not None and place + layout.layout.size <= len(content):
+        fields = layout.layout.unpack_from(content, place)
+        if layout.constants(fields) == layout.expected:
+            return layout.values(fields)[:3]
+    record = parse_record(content, place, "")
+    if record.opcode != records.MESSAGE:
+        return None
+    seconds, nanoseconds = divmod(record.fields.time_ns("time"), 10**9)
+    return record.fields.u32("conn"), seconds, nanoseconds
 
 
 def is_record(data: Buffer, at: int) -> bool:

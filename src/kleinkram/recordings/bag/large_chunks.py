@@ -7,6 +7,7 @@ from kleinkram.recordings.bag.contents import BagFacts, Record, parse_record, wa
 from kleinkram.recordings.bag.walking import learn_layout
 from kleinkram.recordings.decompress import ReadUpTo
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.index_claims import FoundMessages
 from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.limits import MAX_TAKE
 from kleinkram.recordings.listening import Place
@@ -15,6 +16,7 @@ from kleinkram.recordings.tally import Batch, Tally
 
 class _Reading:
     def __init__(self, take: ReadUpTo, record: Record, facts: BagFacts, tally: Tally, place: Place) -> None:
+        self.found = FoundMessages()
         self._place, self._stored = place, record.data_bytes
         self._kept_facts, self._kept_tally = facts, tally
         self._facts, self._tally = facts.fork(), tally.fork()
@@ -48,6 +50,7 @@ class _Reading:
         self._tally.learn(self._facts.connections)
         if self._facts.listener is not None:
             self._facts.listener.hear(self._place, self._batch)
+        self.found.add(self._batch)
         self._tally.add(self._batch, stored=self._stored, uncompressed=self._place.uncompressed)
         self._batch = Batch(self._facts.connections)
 
@@ -74,15 +77,20 @@ class _Reading:
             contents.add_message(record, self._batch)
 
 
-def read_large_chunk(take: ReadUpTo, record: Record, facts: BagFacts, tally: Tally, place: Place) -> Malformed | None:
-    """Add the messages of a chunk whose data `take` gives; return why not all of it could be followed.
+def read_large_chunk(
+    take: ReadUpTo, record: Record, facts: BagFacts, tally: Tally, place: Place
+) -> tuple[FoundMessages, Malformed | None]:
+    """Add the messages of a chunk whose data `take` gives; return what was found, and why not all of it could be
+    followed.
 
     `place`: of the chunk, for the listener.
 
     Raises:
         Malformed: its data are damaged, so that nothing of it can be believed; nothing was added.
     """
-    return read_whole(_Reading(take, record, facts, tally, place))
+    reading = _Reading(take, record, facts, tally, place)
+    fault = read_whole(reading)
+    return reading.found, fault
 
 
 def read_large_beginning(

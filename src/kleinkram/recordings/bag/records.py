@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.index_claims import ChannelSets
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
 from kleinkram.recordings.stream import ForwardStream
 
@@ -101,15 +102,18 @@ class Connection:
 
 
 class ChunkInfo(NamedTuple):
-    """What the index says of a chunk: where it is, from when, and messages.
+    """What the index says of a chunk: where it is, from when to when, and messages.
 
+    `channels`: number of the set of its connections.
     `index_bytes`: size of the index records behind the chunk, as every known writer writes them.
     """
 
     position: int
     first_ns: int
+    last_ns: int
     messages: int
     index_bytes: int
+    channels: int
 
 
 class ChunkHead(NamedTuple):
@@ -143,11 +147,13 @@ def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Conne
     return fields.u32("conn"), connection
 
 
-def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:
-    """Return a chunk info record."""
-    counts = read_chunk_counts(fields, data, where)[1::2]
+def read_chunk_info(fields: Fields, data: bytes, where: str, sets: ChannelSets) -> ChunkInfo:
+    """Return a chunk info record; `sets` gets its set of connections."""
+    flat = read_chunk_counts(fields, data, where)
+    counts = flat[1::2]
     index_bytes = len(counts) * _INDEX_HEAD_BYTES + INDEX_ENTRY_BYTES * sum(counts)
-    return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), sum(counts), index_bytes)
+    span = fields.time_ns("start_time"), fields.time_ns("end_time")
+    return ChunkInfo(fields.u64("chunk_pos"), *span, sum(counts), index_bytes, sets.number(flat[0::2]))
 
 
 def read_chunk_counts(fields: Fields, data: bytes, where: str) -> array[int]:

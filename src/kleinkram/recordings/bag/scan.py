@@ -17,8 +17,17 @@ from kleinkram.recordings.bag.large_chunks import read_large_beginning, read_lar
 from kleinkram.recordings.decompress import ReadUpTo, decompress, decompress_beginning, without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.index_claims import (
+    ANY_CHANNEL,
+    UNKNOWN,
+    ChunkClaim,
+    FoundMessages,
+    IndexFaults,
+    compare_with_scan,
+    new_table,
+)
 from kleinkram.recordings.large_chunk import pieces_of
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_HEADER, MAX_TAKE
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
 from kleinkram.recordings.stream import Cut, Lookahead
@@ -39,6 +48,7 @@ class BagScan:
         index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
         listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
         refused: why nothing of the bag can be read though it may be whole.
+        index_faults: what the index says of chunks that is not so.
     """
 
     facts: BagFacts = field(default_factory=BagFacts)
@@ -49,6 +59,7 @@ class BagScan:
     index_start: int | None = None
     listed: int | None = None
     refused: Malformed | None = None
+    index_faults: IndexFaults = field(default_factory=IndexFaults)
 
 
 class _Scanner:
@@ -58,6 +69,8 @@ class _Scanner:
         self._stream = Lookahead(forward, with_crc=False)
         self._chunk: ListedChunk | None = None
         self._claims = Claims()
+        self._content = b""
+        self._found = new_table()
 
     def run(self) -> BagScan:
         scan, stream = self.scan, self._stream
@@ -70,10 +83,13 @@ class _Scanner:
         if nameless:
             scan.losses.note(Malformed("connections", f"{nameless} messages are of connections that are not defined"))
             scan.losses.messages += nameless
+        claims = self._claims
         if scan.refused is None:
             size, connections = stream.size_bytes, len(scan.facts.connections)
-            claims = self._claims
             scan.listed = claims.settle(scan.losses, connections=connections, chunks=scan.chunks, size_bytes=size)
+        if len(claims.listed) and claims.infos >= claims.chunks:
+            is_damaged = bool(scan.losses.damage)
+            compare_with_scan(claims.listed, self._found, claims.sets, scan.index_faults, is_damaged=is_damaged)
         scan.losses.messages_are_known &= scan.refused is None
         scan.index_start = self._claims.index_start
         return scan
@@ -125,6 +141,8 @@ class _Scanner:
             if self._chunk is not None:
                 self._chunk.records += 1
                 self._chunk.messages += record.fields.u32("count")
+                if self._content and total <= MAX_CHUNK_INDEX:
+                    self._check_index_data(self._chunk.start, record)
         else:
             self._end_chunk()
         if record.opcode == records.CHUNK:
@@ -188,40 +206,66 @@ class _Scanner:
                 scan.losses.unpack(uncompressed, end=start + total)
             if total > MAX_AT_ONCE:
                 stream.advance(head_bytes)
-                self._read_large_chunk(stream.read_up_to, record, Place(CUT, start, total, uncompressed))
+                found = self._read_large_chunk(stream.read_up_to, record, Place(CUT, start, total, uncompressed))
                 stream.advance(start + total - stream.position)
             else:
                 stream.ahead(total + _LOOK)
                 self._doubt(total, compression)
                 stored = stream.window[stream.at + head_bytes : stream.at + total]
-                stream.advance(self._read_chunk(record, stored))
+                found, length = self._read_chunk(record, stored)
+                stream.advance(length)
         except Malformed as error:
             self._leave_chunk(start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
             return
         partly = len(scan.losses.damage) > damaged
+        self._note_found(start, None if partly else found)
         scan.losses.chunks += partly
         scan.chunks += not partly
         self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
 
-    def _read_chunk(self, record: Record, stored: memoryview) -> int:
-        """Add the messages of a chunk whose data are at hand; return how many bytes of the file it takes."""
+    def _note_found(self, start: int, found: FoundMessages | None) -> None:
+        """Remember what was found of a chunk; None: not all that it holds."""
+        if found is None:
+            self._found.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
+            return
+        channels = self._claims.sets.number(found.channels)
+        known = UNKNOWN if channels == ANY_CHANNEL and found.channels else found.messages
+        self._found.append(ChunkClaim(start, UNKNOWN, found.first_ns, found.last_ns, channels, known))
+
+    def _check_index_data(self, start: int, record: Record) -> None:
+        """Compare the index data of a connection, which come next, with the messages that they point at."""
+        stream, data_at = self._stream, record.data_start - record.start
+        stream.ahead(record.end - record.start)
+        data = stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes]
+        try:
+            number, entries = record.fields.u32("conn"), records.array_u32(bytes(data))
+            is_right = contents.points_at_messages(self._content, number, entries, self.scan.facts.layout)
+        except Malformed:
+            is_right = False
+        if not is_right:
+            self.scan.index_faults.note(start, "its index data point at something else than its messages")
+
+    def _read_chunk(self, record: Record, stored: memoryview) -> tuple[FoundMessages, int]:
+        """Add the messages of a chunk whose data are at hand; return them, and how many bytes of the file it takes."""
         start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         if uncompressed > MAX_AT_ONCE:
-            self._read_large_chunk(pieces_of(stored), record, Place(CUT, start, total, uncompressed))
-            return total
+            found = self._read_large_chunk(pieces_of(stored), record, Place(CUT, start, total, uncompressed))
+            return found, total
         raw = decompress(compression, stored, uncompressed)
         place = Place(CHUNK, start, total, uncompressed)
-        end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
-        return total if end == len(raw) else head_bytes + end
+        found, end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
+        self._content = raw
+        return found, total if end == len(raw) else head_bytes + end
 
-    def _read_large_chunk(self, take: ReadUpTo, record: Record, place: Place) -> None:
-        fault = read_large_chunk(take, record, self.scan.facts, self.scan.tally, place)
+    def _read_large_chunk(self, take: ReadUpTo, record: Record, place: Place) -> FoundMessages:
+        found, fault = read_large_chunk(take, record, self.scan.facts, self.scan.tally, place)
         if fault is not None:
             self.scan.losses.note(Malformed(f"chunk at byte {place.start}", fault.message))
+        return found
 
-    def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> int:
-        """Add the messages of a chunk; return where in `raw` it ends."""
+    def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> tuple[FoundMessages, int]:
+        """Add the messages of a chunk; return them, and where in `raw` it ends."""
         scan = self.scan
         batch = Batch(scan.facts.connections)
         holes, end, stretches = read_contents(raw, scan.facts, batch, ends_early=ends_early)
@@ -235,7 +279,9 @@ class _Scanner:
         if end < len(raw):
             scan.losses.messages_are_known = False
             scan.losses.vain_bytes += len(raw)
-        return end
+        found = FoundMessages()
+        found.add(batch)
+        return found, end
 
     def _leave_chunk(self, start: int, record: Record, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
@@ -258,6 +304,7 @@ class _Scanner:
             if zeroed is not None:
                 used = self._save_beginning(zeroed, record)
         scan.losses.note(damage)
+        self._note_found(start, None)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total - used
         self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=True)
@@ -347,7 +394,7 @@ class _Scanner:
         """Compare the chunk before with its index data."""
         if self._chunk is not None:
             self._chunk.settle(self.scan.losses)
-            self._chunk = None
+            self._chunk, self._content = None, b""
 
     def _tell(self, place: Place, batch: Batch) -> None:
         if self.scan.facts.listener is not None:

@@ -13,11 +13,15 @@ from itertools import chain, islice
 
 from kleinkram.recordings.assemble import TopicType, bounded, measure, pending, tell_damage, tell_doubled, tell_readable
 from kleinkram.recordings.bag import records
+from kleinkram.recordings.bag.contents import BagListener
 from kleinkram.recordings.bag.records import ChunkInfo, Connection
 from kleinkram.recordings.bag.scan import BagScan, scan_bag_records
+from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward, from_source
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_PROBLEMS, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, FoundMessages, IndexFaults
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
+from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
 from kleinkram.recordings.sources import Source, read_short_ranges
@@ -37,7 +41,9 @@ class _Bag:
     names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
     timeline: Timeline = field(default_factory=Timeline)
-    problems: list[Problem] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
+    sets: ChannelSets = field(default_factory=ChannelSets)
+    index_faults: IndexFaults = field(default_factory=IndexFaults)
 
 
 def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
@@ -56,18 +62,29 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
         if source.size_bytes > most_bytes:
             return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
         return scan_bag(from_source(source), [Problem("index-damaged", error.where, error.message)])
-    return _summary(bag.timeline, bag.connections, bag.compression, bag.problems)
+    summary = _summary(
+        bag.timeline, bag.connections, bag.compression, [*bag.losses.problems(), *bag.index_faults.problems()]
+    )
+    if not bag.losses.damage:
+        return summary
+    messages = summary.message_count or 0
+    lost = bag.losses.total(claimed=sum(chunk.messages for chunk in bag.chunks), found=messages)
+    reason = f"it is damaged {tell_damage(bag.losses.damage)}; {tell_readable(messages, lost)}"
+    return replace(summary, content=_content(bag.losses, messages), reason=reason, lost=lost)
 
 
-def scan_bag(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
+def scan_bag(
+    forward: Forward, problems: Sequence[Problem] = (), listener: BagListener | None = None
+) -> RecordingSummary:
     """Read all of a file that begins with the magic of a ROS 1 bag 2.0. `problems`: why its index is not enough.
+    `listener`: as `scan_bag_records`.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scan = scan_bag_records(forward)
+    scan = scan_bag_records(forward, listener)
     losses, messages = scan.losses, scan.tally.messages
-    found = losses.problems()
+    found = [*losses.problems(), *scan.index_faults.problems()]
     if scan.listed is not None and scan.listed != messages and not found:
         message = f"the index says {scan.listed} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
@@ -77,17 +94,15 @@ def scan_bag(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSum
         found = found or [*problems]
     reason = None if whole else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
     summary = _summary(scan.tally.timeline, scan.facts.connections, scan.compression, found)
-    return replace(summary, content=_content(scan, whole=whole), reason=reason, depth=Depth.scan, lost=lost)
+    content = Content.opaque if scan.refused is not None else _content(losses, messages)
+    return replace(summary, content=Content.indexed if whole else content, reason=reason, depth=Depth.scan, lost=lost)
 
 
-def _content(scan: BagScan, *, whole: bool) -> Content:
-    if whole:
-        return Content.indexed
-    if scan.refused is not None:
-        return Content.opaque
-    if scan.tally.messages:
+def _content(losses: Losses, messages: int) -> Content:
+    """Return what a bag is that is not whole."""
+    if messages:
         return Content.recovered
-    damage = scan.losses.damage
+    damage = losses.damage
     return Content.broken if any(fault.certain for fault in damage) or not damage else Content.opaque
 
 
@@ -139,7 +154,7 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
             bag.connections[number] = connection
             bag.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
         elif opcode == records.CHUNK_INFO:
-            bag.chunks.append(records.read_chunk_info(fields, data, where))
+            bag.chunks.append(records.read_chunk_info(fields, data, where, bag.sets))
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
         if len(bag.connections) > MAX_TOPICS or bag.names_bytes > MAX_NAMES:
@@ -166,7 +181,12 @@ def _read_chunk_indexes(source: Source, bag: _Bag) -> None:
     for (chunk, head, stream), before_ns in zip(_chunk_streams(source, bag), watermarks, strict=True):
         bag.compression.add(head.compression)
         entries = _read_chunk_entries(stream, bag, chunk)
-        bag.timeline.add_chunk(entries, uncompressed_bytes=head.uncompressed_bytes, stored_bytes=head.data_bytes)
+        if is_known_compression(head.compression):
+            sizes = head.uncompressed_bytes, head.data_bytes
+            bag.timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])
+        else:
+            messages, why = sum(len(entry.stamps) for entry in entries), unknown_compression(head.compression)
+            bag.losses.leave_chunk(chunk.position, head.data_start + head.data_bytes, messages, why)
         bag.timeline.settle(before_ns)
 
 
@@ -214,21 +234,20 @@ def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.Chu
 
 def _read_chunk_entries(stream: ForwardStream, bag: _Bag, chunk: ChunkInfo) -> list[ChunkEntries]:
     by_topic: dict[str, ChunkEntries] = {}
-    found = 0
+    found = FoundMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         number, stamps, offsets = records.read_index_data(stream)
         connection = bag.connections.get(number)
         if connection is None:
             raise Malformed(where, f"index data of connection {number}, which the bag does not define")
-        found += len(stamps)
+        found.add_index(number, stamps)
         known = by_topic.get(connection.topic)
         if known is not None:
             stamps, offsets = [*known.stamps, *stamps], array("I", known.offsets) + offsets
         by_topic[connection.topic] = ChunkEntries(connection.topic, stamps, offsets)
-    if found != chunk.messages and len(bag.problems) <= MAX_PROBLEMS:
-        message = f"its index data list {found} messages, the chunk info {chunk.messages}"
-        bag.problems.append(Problem("counts-disagree", f"chunk at byte {chunk.position}", message))
+    claim = ChunkClaim(chunk.position, UNKNOWN, chunk.first_ns, chunk.last_ns, chunk.channels, chunk.messages)
+    bag.index_faults.compare(claim, bag.sets.listed(chunk.channels), found)
     return list(by_topic.values())
 
 

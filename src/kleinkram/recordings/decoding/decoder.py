@@ -10,10 +10,11 @@ from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissin
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_text import parse_idl
 from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
-from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
+from kleinkram.recordings.decoding.msg_text import Ros, parse_msg, short_name
 from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
-from kleinkram.recordings.decoding.schema import Struct
-from kleinkram.recordings.decoding.well_known import well_known_definition
+from kleinkram.recordings.decoding.schema import Layout, Struct, layout_of
+from kleinkram.recordings.decoding.values import Value
+from kleinkram.recordings.decoding.well_known import well_known_definitions
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
 
 
@@ -28,12 +29,14 @@ class Decoder:
             ROS, what `json` makes of it for JSON, a message of the definition's own class for protobuf. Texts are
             UTF-8, with U+FFFD for what is not. Arrays are views: they keep the bytes that were given alive.
         struct: the layout of a ROS type; None for others.
+        layout: equal for schemas whose messages are decoded to the same fields and types.
     """
 
     type_name: str
     message_encoding: str
     decode: Callable[[bytes], object]
     struct: Struct | None
+    layout: Layout
 
 
 @lru_cache(maxsize=512)
@@ -42,7 +45,7 @@ def decoder_for(
 ) -> Decoder | Undecodable:
     """Return the decoder of a channel's messages, or why there is none. Cached.
 
-    Where CDR messages have no definition, that of `well_known` counts, if there is one.
+    Where CDR messages have no definition, those of `well_known` count, if there are any.
     The encodings are spelled as in MCAP; a ROS 1 bag is ("ros1", type, "ros1msg", message_definition).
     """
     if len(schema_data) > MAX_SCHEMA_BYTES:
@@ -57,22 +60,62 @@ def decoder_for(
 
 def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes) -> Decoder | Undecodable:
     if message_encoding == "json":
-        return Decoder(name, message_encoding, json_decode(name), None)
+        return Decoder(name, message_encoding, json_decode(name), None, ())
     if message_encoding == "protobuf" and schema_encoding == "protobuf":
-        return Decoder(name, message_encoding, protobuf_decode(name, data), None)
-    if message_encoding == "cdr" and not data:
-        text = well_known_definition(name)
-        if text is None and not schema_encoding:
+        decode, layout = protobuf_decode(name, data)
+        return Decoder(name, message_encoding, decode, None, layout)
+    if message_encoding == "cdr" and not data.strip():
+        texts = well_known_definitions(name)
+        if not texts and not schema_encoding:
             return Undecodable(name, "the recording holds no definition of it, and it is none of the common types")
-        if text is not None:
-            schema_encoding, data = "ros2msg", text.encode()
+        if texts:
+            return _well_known(name, [parse_msg(name, text, Ros.two) for text in texts])
     parse = _PARSERS.get((message_encoding, schema_encoding))
     if parse is None:
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"
         return Undecodable(name, f"messages encoded as '{message_encoding}' {how} are not decoded")
+    if not data.strip() and short_name(name) not in _EMPTY_TYPES:
+        return Undecodable(name, "its definition is missing: the recording holds an empty one")
     struct = parse(name, data.decode("utf-8", "replace"))
     decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
-    return Decoder(name, message_encoding, decode, struct)
+    return Decoder(name, message_encoding, decode, struct, layout_of(struct))
+
+
+_EMPTY_TYPES = frozenset(
+    (
+        "std_msgs/Empty",
+        "std_srvs/Empty",
+        "std_srvs/Empty_Request",
+        "std_srvs/Empty_Response",
+        "std_srvs/EmptyRequest",
+        "std_srvs/EmptyResponse",
+        "std_srvs/Trigger_Request",
+        "std_srvs/TriggerRequest",
+    )
+)
+
+
+def _well_known(name: str, structs: list[Struct]) -> Decoder:
+    """Return the decoder of a type whose recording has no definition: by the first that explains a message."""
+    first, *others = [_cdr(struct) for struct in structs]
+
+    def decode(data: bytes) -> Value:
+        try:
+            return first(data)
+        except DecodeError:
+            fitting = [value for other in others if (value := _decoded(other, data)) is not None]
+            if len(fitting) != 1:
+                raise
+            return fitting[0]
+
+    return Decoder(name, "cdr", decode if others else first, structs[0], layout_of(structs[0]))
+
+
+def _decoded(decode: Decode, data: bytes) -> Value | None:
+    try:
+        return decode(data)
+    except DecodeError:
+        return None
 
 
 _PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {

@@ -47,6 +47,7 @@ def generate(root: Struct, wire: Wire) -> Decode:
         errors=(struct.error, ValueError, IndexError, OverflowError, TypeError),
         fail=_fail_for(root.name),
         short=_short_for(root.name),
+        left_over=_left_over_for(root.name),
         read_wide=read_wide,
         numbers=reads.numbers,
         flags=reads.flags,
@@ -56,9 +57,9 @@ def generate(root: Struct, wire: Wire) -> Decode:
     if root.fields:  # the one byte of a type without fields is not missed at the end of a message
         writer.struct(root)
         writer.flush()
+        writer.check_end()
     else:
-        # An empty definition may be one that the recorder did not have: then there are bytes that it does not explain.
-        writer.line(f"if size > {wire.start + 4}: fail(data, o, None)")
+        writer.line(f"if size > {wire.start + wire.empty_size + wire.padding}: left_over(size, {wire.start})")
         writer.line(f"v0 = {writer.constant('c', value_class(root))}()")
     source = _HEAD.format(start=wire.start, objects=MAX_OBJECTS, body="\n".join(writer.lines))
     exec(compile(source, f"<decoder of {root.name[:80]!a}>", "exec"), writer.namespace)  # noqa: S102  # see the docstring
@@ -79,6 +80,14 @@ def _short_for(name: str) -> Callable[[int, int, int], NoReturn]:
         raise DecodeError(name, message, offset=offset)
 
     return short
+
+
+def _left_over_for(name: str) -> Callable[[int, int], NoReturn]:
+    def left_over(size: int, offset: int) -> NoReturn:
+        message = f"{size - offset} of its {size} bytes are left over: the definition is not that of the message"
+        raise DecodeError(name, message, offset=offset)
+
+    return left_over
 
 
 class _Writer:
@@ -131,6 +140,11 @@ class _Writer:
             unpack = self.constant("u", self._wire.order + self._format)
             self.line(f"{', '.join(self._run)}, = {unpack}(data, {self._position(self._run_at)})")
         self._run, self._format = [], ""
+
+    def check_end(self) -> None:
+        """Refuse a message that goes on behind its last field: its definition is another one."""
+        end = self._position(self._ahead)
+        self.line(f"if size > {self._position(self._ahead + self._wire.padding)}: left_over(size, {end})")
 
     def _read(self, kind: Type, target: str) -> None:
         if isinstance(kind, Struct):

@@ -58,6 +58,10 @@ class _Scope:
     enums: dict[str, Primitive] = field(default_factory=dict)
     constants: dict[str, ConstantValue] = field(default_factory=dict)
 
+    def declares(self, path: str) -> bool:
+        """Say whether a path is that of a type."""
+        return path in self.typedefs or path in self.structs or path in self.enums
+
 
 def parse_idl(name: str, text: str) -> Struct:
     """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes.
@@ -120,8 +124,9 @@ class _Definitions:
         scope = self._scope
         wanted, owner, lengths = text.type_name, path, text.lengths
         for _ in range(MAX_DEPTH):
-            alias = next((c for c in _candidates(wanted, owner) if c in scope.typedefs), None)
-            if alias is None:
+            # The innermost declaration of a name counts, whether it is a typedef or not.
+            alias = next((c for c in _candidates(wanted, owner) if scope.declares(c)), None)
+            if alias is None or alias not in scope.typedefs:
                 break
             wanted, owner, inner = scope.typedefs[alias]
             lengths = inner + lengths

@@ -56,7 +56,10 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
         SchemaError: the text cannot be followed, or a bound is passed.
     """
     definitions = {**_built_in(ros), **_split(name, text)}
-    names = {short_name(known): definition for known, definition in definitions.items()}
+    by_short_name: dict[str, Definition] = {}
+    for known, definition in definitions.items():
+        if "/msg/" in known or short_name(known) not in by_short_name:
+            by_short_name[short_name(known)] = definition
     primitives = {**PRIMITIVES, **_OTHER_NAMES[ros]}
     if ros is Ros.one:
         del primitives["wstring"]
@@ -64,15 +67,29 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
     def find(wanted: str, owner: str) -> Primitive | Definition | None:
         if wanted in primitives:
             return primitives[wanted]
-        package = owner.partition("/")[0]
-        for candidate in (f"{package}/{wanted}", wanted, "std_msgs/Header" if wanted == "Header" else wanted):
-            if short_name(candidate) in names:
-                return names[short_name(candidate)]
+        for candidate in _candidates(wanted, owner, ros):
+            definition = definitions.get(candidate) or by_short_name.get(short_name(candidate))
+            if definition is not None:
+                return definition
         return None
 
-    if short_name(name) not in names:
+    root = definitions.get(name) or by_short_name.get(short_name(name))
+    if root is None:
         raise SchemaError(f"the schema's text does not define {name}")
-    return resolve(names[short_name(name)], find)
+    return resolve(root, find)
+
+
+def _candidates(wanted: str, owner: str, ros: Ros) -> tuple[str, ...]:
+    """Return the full names that a type name in a definition of `owner` can stand for, the first choice first.
+
+    A name with a package is never one of the owner's package.
+    """
+    if "/" in wanted:
+        return (wanted,)
+    own = f"{owner.partition('/')[0]}/{wanted}"
+    if wanted != "Header":
+        return (own, wanted)
+    return ("std_msgs/Header", own) if ros is Ros.one else (own, "std_msgs/Header")
 
 
 def short_name(name: str) -> str:

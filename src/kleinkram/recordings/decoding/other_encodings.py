@@ -8,6 +8,7 @@ from typing import Any
 
 from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError
 from kleinkram.recordings.decoding.limits import MAX_JSON_DEPTH, MAX_JSON_VALUES, MAX_TYPES
+from kleinkram.recordings.decoding.schema import Layout
 
 Decode = Callable[[bytes], Any]
 
@@ -49,8 +50,8 @@ def _is_deep(value: Any) -> bool:
     return True
 
 
-def protobuf_decode(name: str, schema: bytes) -> Decode:
-    """Return a function that decodes messages of a type in a serialised `FileDescriptorSet`.
+def protobuf_decode(name: str, schema: bytes) -> tuple[Decode, Layout]:
+    """Return a function that decodes messages of a type in a serialised `FileDescriptorSet`, and the type's layout.
 
     Every schema has a pool of its own: two recordings may define one name differently. Google's own files
     (`google/protobuf/timestamp.proto`) may be left out of the set.
@@ -81,7 +82,24 @@ def protobuf_decode(name: str, schema: bytes) -> Decode:
         except message.DecodeError:
             raise DecodeError(name, f"the {len(data)} bytes are no such protobuf message") from None
 
-    return decode
+    return decode, _layout_of(made.DESCRIPTOR)
+
+
+def _layout_of(root: Any) -> Layout:
+    """Return names, numbers and types of all fields that a message can have, type by type in the order of use."""
+    types = {root.full_name: root}
+    layout: list[object] = []
+    waiting = [root]
+    while waiting:
+        kind = waiting.pop()
+        for field in kind.fields:
+            part = field.message_type
+            has_many = isinstance(field.default_value, list)
+            layout.append((kind.full_name, field.name, field.number, field.type, has_many, part and part.full_name))
+            if part is not None and part.full_name not in types:
+                types[part.full_name] = part
+                waiting.append(part)
+    return tuple(layout)
 
 
 def _in_order(files: dict[str, Any]) -> list[Any]:

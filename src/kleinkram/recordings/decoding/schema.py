@@ -192,3 +192,16 @@ def _loops(kind: Type) -> int:
 def constants_of(pairs: Mapping[str, ConstantValue]) -> tuple[tuple[str, ConstantValue], ...]:
     """Return the constants whose names can be attributes."""
     return tuple((identifier(name), value) for name, value in pairs.items() if _IDENTIFIER.match(name))
+
+
+Layout = tuple[object, ...]
+"""What decoding depends on: equal for definitions that differ only in how they are written."""
+
+
+def layout_of(kind: Type) -> Layout:
+    """Return the layout of a type: names and types of its fields, all the way down."""
+    if isinstance(kind, Primitive):
+        return (kind.name,)
+    if isinstance(kind, Array):
+        return ("array", kind.length, layout_of(kind.element))
+    return (kind.name.rpartition("/")[2], *((field.name, layout_of(field.type)) for field in kind.fields))

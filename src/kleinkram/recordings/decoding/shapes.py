@@ -83,7 +83,7 @@ def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
         wire = ENCAPSULATIONS[data[1]]
     walk = _Walk(data, wire)
     parts = walk.fields(root)
-    if walk.at > len(data):
+    if not walk.at <= len(data) <= walk.at + wire.padding:
         raise NoShape
     header = (0, 1) if wire.start else ()
     fixed = (*header, *(place + step for place in walk.lengths for step in range(4)))

@@ -27,7 +27,7 @@ from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissin
 from kleinkram.recordings.decoding.limits import BATCH_BYTES, BATCH_MESSAGES
 from kleinkram.recordings.decoding.schema import Array, Struct, Type
 from kleinkram.recordings.decoding.shapes import NoShape, shape_of
-from kleinkram.recordings.decoding.values import NS, Value, to_plain
+from kleinkram.recordings.decoding.values import NS, Value, to_row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,6 +37,11 @@ TimedMessage = tuple[int, int, bytes]
 """(log time, publish time, bytes); times in nanoseconds."""
 Notice = Callable[[int, DecodeError], None]
 """Called with the log time of each message that cannot be decoded, and why."""
+
+
+def _ignore(log_time_ns: int, error: DecodeError) -> None:
+    """Take notice of nothing."""
+
 
 _MOST_SHAPES = 32
 _LEAST_ROWS = 16
@@ -56,18 +61,23 @@ def to_arrow(
         decoder: of the schema.
         messages: (log time, publish time, bytes), in the order that rows shall have.
         fields: dotted names; a name takes all that lies below it, such as "header" or "pose.position.x".
-        notice: called for each message that cannot be decoded.
+        notice: called for each message that cannot be decoded, and each value of JSON that its column cannot hold;
+            that value is null.
 
     Raises:
         NoSuchField: a name that fits no column.
-        DecodeError: JSON or protobuf messages of which one field has types that no column can have.
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
     pa = _arrow()
     tables = [
         pa.Table.from_batches([batch]) for batch in arrow_batches(decoder, messages, fields=fields, notice=notice)
     ]
-    return pa.concat_tables(tables, promote_options="permissive")
+    try:
+        return pa.concat_tables(tables, promote_options="permissive")
+    except pa.ArrowException:  # batches of JSON whose values changed their types
+        from kleinkram.recordings.decoding.free_arrays import joined
+
+        return joined(tables, notice or _ignore)
 
 
 def to_pandas(
@@ -106,7 +116,7 @@ def arrow_batches(
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
     _arrow()
-    rows = _rows_of(decoder, fields, notice or (lambda log_time_ns, error: None))
+    rows = _rows_of(decoder, fields, notice or _ignore)
     is_first = True
     for log_ns, publish_ns, data in _batches(messages):
         yield rows(log_ns, publish_ns, data)
@@ -253,18 +263,21 @@ def _column(column: Column, values: list[Any]) -> Any:
     import pyarrow as pa
 
     for name in column.names:
-        values = [None if value is None else getattr(value, name) for value in values]
+        values = [None if value is None else getattr(value, name, None) for value in values]
     return pa.array([None if value is None else _cell(column.kind, value) for value in values], arrow_type(column.kind))
 
 
 def _cell(kind: Type, value: Any) -> Any:
-    """Return a value as Arrow takes it."""
+    """Return a value as Arrow takes it; None where the definition of another release lacks a field."""
+    if value is None:
+        return None
     if is_time(kind):
         whole, rest = (getattr(value, name) for name in value._fields)
         return whole * NS + rest
     if isinstance(kind, Struct):
         return {
-            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name)) for field in kind.fields
+            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name, None))
+            for field in kind.fields
         }
     if isinstance(kind, Array):
         if is_bytes(kind):
@@ -286,11 +299,13 @@ class _FreeRows:
     def __call__(self, log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
         import pyarrow as pa
 
+        from kleinkram.recordings.decoding.free_arrays import FreeArrays
+
         values = [self._decoded(log, raw) for log, raw in zip(log_ns, data, strict=True)]
         try:
             array = pa.array(values)
-        except (ValueError, TypeError, OverflowError, pa.ArrowException) as error:
-            raise _too_different(self._decoder.type_name, error) from None
+        except (ValueError, TypeError, OverflowError, pa.ArrowException):
+            array = FreeArrays(self._decoder.type_name, log_ns, self._notice).build(values)
         named = _named_once(_flattened("", array))
         if self._fields is not None:
             self._check([name for name, _ in named] if values else list(self._fields))
@@ -306,15 +321,11 @@ class _FreeRows:
 
     def _decoded(self, log_ns: int, data: bytes) -> Any:
         try:
-            value = to_plain(self._decoder.decode(data))
+            value = to_row(self._decoder.decode(data))
         except DecodeError as error:
             self._notice(log_ns, error)
             return None
         return value if isinstance(value, dict) else {"value": value}
-
-
-def _too_different(type_name: str, error: Exception) -> DecodeError:
-    return DecodeError(type_name, f"its messages differ too much for one table: {str(error)[:200]}")
 
 
 def _named_once(named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:

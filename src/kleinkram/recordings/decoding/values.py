@@ -6,7 +6,7 @@ constructors, copy and pickle. They are the caller's to change; arrays are views
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -78,19 +78,32 @@ def to_plain(value: object) -> Any:
     Arrays of uint8 become `bytes`, other arrays lists. Protobuf fields keep the names of their definition; those that
     are not set are there with their default, except messages and members of a `oneof`, which are left out.
     """
+    return _plain(value, dict)
+
+
+def to_row(value: object) -> Any:
+    """Return what `to_plain` returns, with protobuf maps as lists of `{"key": ..., "value": ...}`, as in Arrow."""
+    return _plain(value, lambda pairs: [{"key": key, "value": part} for key, part in pairs])
+
+
+def _plain(value: Any, as_map: Callable[[Iterator[tuple[Any, Any]]], Any]) -> Any:
+    if isinstance(value, (str, bytes, int, float)) or value is None:
+        return value
     if isinstance(value, Value):
-        return {name: to_plain(getattr(value, name)) for name in value._fields}
+        return {name: _plain(getattr(value, name), as_map) for name in value._fields}
     if isinstance(value, (list, tuple)):
-        return [to_plain(part) for part in value]
-    if isinstance(value, Mapping):
-        return {key: to_plain(part) for key, part in value.items()}
+        return [_plain(part, as_map) for part in value]
+    if isinstance(value, dict):
+        return {key: _plain(part, as_map) for key, part in value.items()}
     if hasattr(value, "tolist"):
         is_bytes = getattr(value, "dtype", None) == "uint8" or getattr(value, "typecode", None) == "B"
         return value.tobytes() if is_bytes and hasattr(value, "tobytes") else value.tolist()
     if hasattr(value, "DESCRIPTOR"):
-        return {name: to_plain(part) for name, part in _protobuf_fields(value)}
-    if hasattr(value, "__iter__") and not isinstance(value, (str, bytes)):
-        return [to_plain(part) for part in value]
+        return {name: _plain(part, as_map) for name, part in _protobuf_fields(value)}
+    if hasattr(value, "keys"):  # protobuf's maps; reading one of a message-valued map by [] would add missing keys
+        return as_map((key, _plain(value[key], as_map)) for key in sorted(value.keys()))
+    if hasattr(value, "__len__") and hasattr(value, "__getitem__"):  # protobuf's repeated fields have no `__iter__`
+        return [_plain(value[place], as_map) for place in range(len(value))]
     return value
 
 
@@ -98,6 +111,9 @@ def _protobuf_fields(message: Any) -> Iterator[tuple[str, object]]:
     for field in message.DESCRIPTOR.fields:
         if not field.has_presence or message.HasField(field.name):
             yield field.name, getattr(message, field.name)
+    for field, value in message.ListFields():  # extensions of proto2 are no fields of the type itself
+        if field.is_extension:
+            yield field.full_name, value
 
 
 def stamp_ns(value: object) -> int | None:

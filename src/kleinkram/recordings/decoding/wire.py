@@ -23,6 +23,7 @@ class Wire:
         counts_nul: the length of a text counts a closing zero byte.
         empty_size: bytes of a type without fields.
         has_lengths: arrays of anything but numbers have their length in bytes in front.
+        padding: the most bytes that may follow the last field.
     """
 
     order: str
@@ -31,13 +32,14 @@ class Wire:
     counts_nul: bool
     empty_size: int
     has_lengths: bool
+    padding: int
 
 
-ROS1 = Wire("<", 0, 1, counts_nul=False, empty_size=0, has_lengths=False)
-CDR_BE = Wire(">", 4, 8, counts_nul=True, empty_size=1, has_lengths=False)
-CDR_LE = Wire("<", 4, 8, counts_nul=True, empty_size=1, has_lengths=False)
-CDR2_BE = Wire(">", 4, 4, counts_nul=True, empty_size=1, has_lengths=True)
-CDR2_LE = Wire("<", 4, 4, counts_nul=True, empty_size=1, has_lengths=True)
+ROS1 = Wire("<", 0, 1, counts_nul=False, empty_size=0, has_lengths=False, padding=0)
+CDR_BE = Wire(">", 4, 8, counts_nul=True, empty_size=1, has_lengths=False, padding=3)
+CDR_LE = Wire("<", 4, 8, counts_nul=True, empty_size=1, has_lengths=False, padding=3)
+CDR2_BE = Wire(">", 4, 4, counts_nul=True, empty_size=1, has_lengths=True, padding=3)
+CDR2_LE = Wire("<", 4, 4, counts_nul=True, empty_size=1, has_lengths=True, padding=3)
 
 ENCAPSULATIONS = {0: CDR_BE, 1: CDR_LE, 6: CDR2_BE, 7: CDR2_LE}
 """By the second byte of a CDR message; the first is 0."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from kleinkram.recordings.decompress import Buffer, decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_TAKE
+from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
 from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
@@ -30,6 +30,9 @@ class ChunkHead(NamedTuple):
     crc: int
     data_start: int
     stored: int
+    first_ns: int
+    last_ns: int
+    is_unfinished: bool = False
 
 
 class Contents(NamedTuple):
@@ -38,21 +41,37 @@ class Contents(NamedTuple):
     Attributes:
         walked: bytes of records that could be followed.
         fault: why it ended there; None: at the end.
+        raw: the content of a whole chunk.
     """
 
     walked: int
     fault: Malformed | None = None
+    raw: bytes = b""
 
 
 def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
-    """Read the head of a chunk record whose lengths are known to agree."""
+    """Read the head of a chunk record whose lengths are known to agree, or that was never finished."""
+    (length,) = _U64.unpack_from(data, at + 1)
     at += RECORD_HEAD.size
-    _first, _last, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
+    first_ns, last_ns, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
     name_at = at + CHUNK_FIXED.size
     data_at = name_at + name_length + _U64.size
     name = bytes(data[name_at : name_at + name_length]).decode("utf-8", "replace")
     (stored,) = _U64.unpack_from(data, data_at - _U64.size)
-    return ChunkHead(name, uncompressed, crc, data_at - at + RECORD_HEAD.size, stored)
+    data_start = data_at - at + RECORD_HEAD.size
+    if records.PLACEHOLDER not in (length, uncompressed, stored):
+        return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns)
+    if uncompressed == records.PLACEHOLDER:
+        uncompressed, crc = records.UNFINISHED_CHUNK_BYTES, 0
+    return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns, is_unfinished=True)
+
+
+def with_known_size(head: ChunkHead, stored: bytes) -> ChunkHead:
+    """Return the head of an unfinished chunk with the size of what its stored bytes hold, where that can be held."""
+    if head.uncompressed != records.UNFINISHED_CHUNK_BYTES or not head.is_unfinished:
+        return head
+    size = len(decompress_beginning(head.compression, stored, MAX_AT_ONCE))
+    return head._replace(uncompressed=size) if size < MAX_AT_ONCE - WINDOW else head
 
 
 def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
@@ -64,7 +83,7 @@ def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) 
     raw = decompress(head.compression, stored, head.uncompressed)
     if head.crc and zlib.crc32(raw) != head.crc:
         raise Malformed("chunk", "its checksum is wrong")
-    return walk_contents(raw, facts, batch)
+    return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
 def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> tuple[int, int]:

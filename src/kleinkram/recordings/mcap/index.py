@@ -12,15 +12,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 
+from kleinkram.recordings.decompress import is_known_compression, unknown_compression
 from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, TAIL, WINDOW
+from kleinkram.recordings.index_claims import UNKNOWN, ChunkClaim, FoundMessages, wrong_compression
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, TAIL, WINDOW
+from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
 from kleinkram.recordings.mcap.records import ChunkPlace, McapFacts
 from kleinkram.recordings.packed import smallest_to_come
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
+_CHUNK_HEAD_BYTES = 4096
 _HEAD_OF_DEFINITION = 3 * 4096 + 16
 _MOST_RECORDS_WALKED = 10_000
 _READERS = {
@@ -57,8 +62,10 @@ def read_footer(source: Source) -> Footer | None:
     return Footer(size - records.FOOTER_BYTES, summary_start, crc)
 
 
-def read_index(source: Source, footer: Footer, timeline: Timeline) -> McapFacts:
+def read_index(source: Source, footer: Footer, timeline: Timeline, losses: Losses) -> McapFacts:
     """Fill the timeline from the file's own index, and return what else it says.
+
+    `losses` counts the chunks whose compression, as the index says, is not one that is read.
 
     Raises:
         NotIndexed: there is no index, or it cannot be true.
@@ -69,12 +76,12 @@ def read_index(source: Source, footer: Footer, timeline: Timeline) -> McapFacts:
         _read_summary_section(source, footer, facts)
         _check_definitions(facts)
         _check_places(facts, footer)
-        _read_message_indexes(source, facts, timeline)
+        _read_message_indexes(source, facts, timeline, losses)
         if facts.statistics is None:
             _refuse_messages_outside_chunks(source, facts, footer)
     except Malformed as error:
         raise NotIndexed("index-damaged", f"the index cannot be used: {error}", is_problem=True) from error
-    _compare_with_statistics(facts, timeline)
+    _compare_with_statistics(facts, timeline, losses)
     return facts
 
 
@@ -136,14 +143,43 @@ def _check_places(facts: McapFacts, footer: Footer) -> None:
         end = place.end
 
 
-def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline) -> None:
+def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     watermarks = smallest_to_come(facts.chunks.column(ChunkPlace._fields.index("first_ns")))
     for place, stream, before_ns in zip(facts.chunks, _index_streams(source, facts), watermarks, strict=True):
-        entries = _read_chunk_entries(stream, facts)
-        timeline.add_chunk(entries, uncompressed_bytes=place.uncompressed_bytes, stored_bytes=place.compressed_bytes)
+        entries, found = _read_chunk_entries(stream, facts)
+        claim = ChunkClaim(place.start, place.index_start, place.first_ns, place.last_ns, place.channels, UNKNOWN)
+        facts.index_faults.compare(claim, facts.sets.listed(place.channels), found)
+        compression = named = facts.unknown_compression.get(place.start, "")
+        if named:
+            compression = read_compression(source, place.start, place.end) or named
+            if is_known_compression(compression):
+                facts.index_faults.note(place.start, wrong_compression(named))
+        if is_known_compression(compression):
+            sizes = place.uncompressed_bytes, place.compressed_bytes
+            timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])
+        else:
+            messages = sum(len(entry.stamps) for entry in entries)
+            losses.leave_chunk(place.start, place.index_start - place.start, messages, unknown_compression(compression))
         timeline.settle(before_ns)
+
+
+def read_compression(source: Source, start: int, end: int) -> str | None:
+    """Return what a chunk itself says of its compression; None where no chunk stands in [start, end).
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    stream = open_range(source, start, end, window=_CHUNK_HEAD_BYTES)
+    try:
+        opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+        name_length = CHUNK_FIXED.unpack(stream.take(CHUNK_FIXED.size))[-1]
+        if opcode == records.CHUNK and name_length <= MAX_NAME:
+            return stream.take(name_length).decode("utf-8", "replace")
+    except Malformed:
+        pass  # it is cut: the same as none
+    return None
 
 
 def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
@@ -157,14 +193,16 @@ def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
         yield open_bytes(data, place.index_start)
 
 
-def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEntries]:
+def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[ChunkEntries], FoundMessages]:
     by_topic: dict[str, ChunkEntries] = {}
+    found = FoundMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         if opcode != records.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
+        found.add_index(channel_id, stamps)
         channel = facts.channels.get(channel_id)
         if channel is None:
             raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
@@ -172,12 +210,12 @@ def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> list[ChunkEn
         if known is not None:
             stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
         by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
-    return list(by_topic.values())
+    return list(by_topic.values()), found
 
 
-def _compare_with_statistics(facts: McapFacts, timeline: Timeline) -> None:
+def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
     """Refuse an index that does not account for all messages, or that a chunk is missing from."""
-    found = sum(times.count for times in timeline.topics.values())
+    found = sum(times.count for times in timeline.topics.values()) + losses.messages
     if facts.statistics is None:
         if any(place.uncompressed_bytes and place.index_start == place.end for place in facts.chunks):
             raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from kleinkram.recordings.decompress import ReadUpTo
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.index_claims import FoundMessages
 from kleinkram.recordings.large_chunk import LargeChunk, read_cut, read_whole
 from kleinkram.recordings.listening import Place
 from kleinkram.recordings.mcap import records
@@ -14,7 +15,15 @@ from kleinkram.recordings.tally import Batch, Tally
 
 
 class _Reading:
-    def __init__(self, take: ReadUpTo, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> None:
+    def __init__(
+        self,
+        take: ReadUpTo,
+        head: ChunkHead,
+        facts: McapFacts,
+        tally: Tally,
+        place: Place,
+    ) -> None:
+        self.found = FoundMessages()
         self._head, self._place = head, place
         self._kept_facts, self._kept_tally = facts, tally
         self._facts, self._tally = facts.fork(), tally.fork()
@@ -48,6 +57,7 @@ class _Reading:
     def _flush(self) -> None:
         self._tally.learn(self._facts.channels)
         tell(self._facts, self._place, self._batch)
+        self.found.add(self._batch)
         self._tally.add(self._batch, stored=self._head.stored, uncompressed=self._head.uncompressed)
         self._batch = Batch(self._facts.channels)
 
@@ -71,15 +81,20 @@ class _Reading:
         inner.advance(RECORD_HEAD.size + length)
 
 
-def read_large_chunk(take: ReadUpTo, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place) -> Malformed | None:
-    """Add the messages of a chunk whose data `take` gives; return why not all of it could be followed.
+def read_large_chunk(
+    take: ReadUpTo, head: ChunkHead, facts: McapFacts, tally: Tally, place: Place
+) -> tuple[FoundMessages, Malformed | None]:
+    """Add the messages of a chunk whose data `take` gives; return what was found, and why not all of it could be
+    followed.
 
     `place`: of the chunk, for the listener.
 
     Raises:
         Malformed: nothing of it can be believed; nothing was added.
     """
-    return read_whole(_Reading(take, head, facts, tally, place))
+    reading = _Reading(take, head, facts, tally, place)
+    fault = read_whole(reading)
+    return reading.found, fault
 
 
 def read_large_beginning(

@@ -23,6 +23,7 @@ _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
+_LONGEST_COMPRESSION = 64
 _FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _ONE_BIT_AWAY = (records.HEADER, records.CHANNEL, records.METADATA_INDEX)
@@ -64,6 +65,8 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
         return "only zeros or rubbish where a record should begin"
     if not is_known or opcode == records.MESSAGE:
         return None
+    if is_unfinished_chunk(data, at):
+        return None
     needed = _needs(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
@@ -74,6 +77,23 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     ):
         return "a record that is said to be so long that it holds the next one, too"
     return None
+
+
+def is_unfinished_chunk(data: Buffer, at: int) -> bool:
+    """Say whether a chunk was begun there whose lengths were never filled in.
+
+    Only its data's length, or also that of the record: the recorder writes both once the chunk is complete.
+    """
+    if at + RECORD_HEAD.size + CHUNK_FIXED.size > len(data):
+        return False
+    opcode, length = RECORD_HEAD.unpack_from(data, at)
+    fixed_at = at + RECORD_HEAD.size
+    _first, _last, uncompressed, _crc, name_length = CHUNK_FIXED.unpack_from(data, fixed_at)
+    stored_at = fixed_at + CHUNK_FIXED.size + name_length
+    if opcode != records.CHUNK or name_length > _LONGEST_COMPRESSION or stored_at + _U64.size > len(data):
+        return False
+    (stored,) = _U64.unpack_from(data, stored_at)
+    return records.PLACEHOLDER in (length, uncompressed, stored)
 
 
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:

@@ -11,8 +11,10 @@ from array import array
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
+from kleinkram.recordings.decompress import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.index_claims import ANY_CHANNEL, ChannelSets, IndexFaults
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.listening import Held, Listener
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.packed import PackedTable
@@ -23,8 +25,14 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
+PLACEHOLDER = 2**64 - 1
+"""What stands for the length of a record or of data while it is being written (mcap-rs): a recorder that was killed
+leaves it."""
+UNFINISHED_CHUNK_BYTES = FREE_UNPACKED
+"""How much is read of the content of a chunk that does not say how much it holds."""
 STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
+_CHANNEL_AND_U64 = struct.Struct("<HQ")
 _ATTACHMENT_PLACE = struct.Struct("<QQQQQ")
 
 
@@ -51,15 +59,23 @@ class Statistics(NamedTuple):
     channels: int
     attachments: int
     metadata_records: int
+    start_ns: int
+    end_ns: int
+    counts: tuple[tuple[int, int], ...]
 
 
 class ChunkPlace(NamedTuple):
-    """A chunk and its message indexes in the file: [start, index_start) and [index_start, end)."""
+    """A chunk and its message indexes in the file: [start, index_start) and [index_start, end).
+
+    `channels`: number of the set of those that the index lists.
+    """
 
     start: int
     index_start: int
     end: int
     first_ns: int
+    last_ns: int
+    channels: int
     compressed_bytes: int
     uncompressed_bytes: int
 
@@ -77,6 +93,8 @@ class McapFacts:
 
     Attributes:
         listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
+        index_faults: what the index says of chunks that is not so.
+        unknown_compression: by the start of a chunk, a compression that its index names and that is not read.
     """
 
     library: str = ""
@@ -84,9 +102,12 @@ class McapFacts:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     statistics: Statistics | None = None
+    sets: ChannelSets = field(default_factory=ChannelSets)
     chunks: PackedTable[ChunkPlace] = field(default_factory=lambda: PackedTable(ChunkPlace, len(ChunkPlace._fields)))
     names_bytes: int = 0
     compression: set[str] = field(default_factory=set)
+    index_faults: IndexFaults = field(default_factory=IndexFaults)
+    unknown_compression: dict[int, str] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
@@ -212,8 +233,12 @@ def _count_names(facts: McapFacts, where: str, *names: str) -> None:
 def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
     """Note the statistics."""
     reader = BodyReader(body, where)
-    messages, _schemas, channels, attachments, metadata_records, _chunks, _start, _end = reader.fields(STATISTICS_BODY)
-    facts.statistics = Statistics(messages, channels, attachments, metadata_records)
+    messages, _schemas, channels, attachments, metadata, _chunks, *span = reader.fields(STATISTICS_BODY)
+    counts = reader.counted()
+    if len(counts) % _CHANNEL_AND_U64.size:
+        raise Malformed(where, "statistics that end within an entry")
+    by_channel = tuple((number, count) for number, count in _CHANNEL_AND_U64.iter_unpack(counts))
+    facts.statistics = Statistics(messages, channels, attachments, metadata, span[0], span[1], by_channel)
 
 
 def read_attachment(facts: McapFacts, body: bytes, where: str) -> None:
@@ -258,14 +283,23 @@ def _note_metadata(facts: McapFacts, name: str) -> None:
 def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
     """Note where a chunk and its message indexes stand."""
     reader = BodyReader(body, where)
-    first_ns, _last_ns, start, length = reader.fields(_CHUNK_PLACE)
-    reader.counted()
+    first_ns, last_ns, start, length = reader.fields(_CHUNK_PLACE)
+    offsets = reader.counted()
+    if len(offsets) % _CHANNEL_AND_U64.size:
+        raise Malformed(where, "a chunk index that ends within an entry")
+    channel_ids = [number for number, _ in _CHANNEL_AND_U64.iter_unpack(offsets)]
+    channels = facts.sets.number(channel_ids) if channel_ids else ANY_CHANNEL
     (index_length,) = reader.fields(_U64)
-    facts.compression.add(reader.text() or "none")
+    compression = reader.text()
+    facts.compression.add(compression or "none")
+    if not is_known_compression(compression):
+        if len(facts.unknown_compression) >= MAX_DAMAGE:
+            raise Malformed(where, f"more than {MAX_DAMAGE} chunks that are not read", certain=False)
+        facts.unknown_compression[start] = compression
     compressed, uncompressed = reader.fields(_PAIR_U64)
     index_start = start + length
-    place = ChunkPlace(start, index_start, index_start + index_length, first_ns, compressed, uncompressed)
-    facts.chunks.append(place)
+    end = index_start + index_length
+    facts.chunks.append(ChunkPlace(start, index_start, end, first_ns, last_ns, channels, compressed, uncompressed))
 
 
 def read_message_index(body: bytes, where: str) -> tuple[int, array[int], array[int]]:

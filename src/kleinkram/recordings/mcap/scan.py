@@ -14,6 +14,16 @@ from dataclasses import dataclass, field
 from kleinkram.recordings.decompress import ReadUpTo, without_zero_tail
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
+from kleinkram.recordings.index_claims import (
+    ANY_CHANNEL,
+    UNKNOWN,
+    ChunkClaim,
+    FoundMessages,
+    compare_with_scan,
+    new_table,
+    wrong_compression,
+    wrong_times,
+)
 from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, Place
@@ -25,6 +35,7 @@ from kleinkram.recordings.mcap.plausible import LOOK, fault, holds_chunk, stands
 from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.mcap.searching import find_inner, pass_damage
 from kleinkram.recordings.mcap.sections import Sections
+from kleinkram.recordings.mcap.walking import points_at_messages
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
@@ -63,6 +74,8 @@ class _Scanner:
         self._stream = Lookahead(forward)
         self._loose = LooseMessages(self._stream, self.scan.facts, self.scan.tally)
         self._listed: ListedChunk | None = None
+        self._content = b""
+        self._found = new_table()
         self._is_found = False
         self._sections = Sections(self._stream, self.scan.facts, self.scan.losses)
 
@@ -79,6 +92,7 @@ class _Scanner:
                 Malformed("channels", f"{nameless} messages are on channels that the file does not define")
             )
             scan.losses.messages += nameless
+        self._compare_index()
         scan.losses.messages_are_known = scan.losses.messages_are_known and scan.closed
         claimed = scan.facts.statistics
         is_believed = claimed is not None and not scan.losses.damage and not scan.losses.index_faults
@@ -87,6 +101,21 @@ class _Scanner:
             scan.losses.note(Malformed("statistics", f"they say {missing} messages more than the file holds"))
             scan.losses.messages += missing
         return scan
+
+    def _compare_index(self) -> None:
+        """Compare the chunk index, if the file has one, with the chunks that were found."""
+        facts, losses, claims = self.scan.facts, self.scan.losses, new_table()
+        for place in facts.chunks:
+            times = place.first_ns, place.last_ns
+            claims.append(ChunkClaim(place.start, place.index_start, *times, place.channels, UNKNOWN))
+        if not len(claims):
+            return
+        for chunk in self._found if facts.unknown_compression else ():
+            named = facts.unknown_compression.get(chunk.start)
+            if named is not None and chunk.messages != UNKNOWN:
+                facts.index_faults.note(chunk.start, wrong_compression(named))
+        is_damaged = bool(losses.damage)
+        compare_with_scan(claims, self._found, facts.sets, facts.index_faults, is_damaged=is_damaged)
 
     def _step(self) -> None:
         """Pass over some messages, over one other record, or over damage."""
@@ -110,7 +139,7 @@ class _Scanner:
             self._pass_record(opcode, length, where)
         except Cut as cut:
             if opcode == records.CHUNK:
-                self._read_cut_chunk(cut)
+                self._read_cut_chunk(cut, min(RECORD_HEAD.size + length, stream.left))
             else:
                 self._resync(cut)
         except Malformed as error:
@@ -132,6 +161,8 @@ class _Scanner:
         stream = self._stream
         if wrong := fault(stream.window, stream.at, stream.left):
             raise Malformed(where, wrong)
+        if opcode == records.CHUNK and plausible.is_unfinished_chunk(stream.window, stream.at):
+            raise Cut(where, "a chunk was begun here and never finished: its lengths were never filled in")
         if length > (left := stream.left - RECORD_HEAD.size):
             name = _NAMES.get(opcode, "a record")
             raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
@@ -147,7 +178,7 @@ class _Scanner:
         if opcode == records.HEADER and stream.position != len(records.MAGIC):
             raise Malformed(where, "the header of a file in the middle of it")
         if opcode == records.MESSAGE_INDEX:
-            self._note_listed()
+            self._note_listed(length)
         else:
             self._end_chunk()
         if opcode == records.CHUNK:
@@ -179,7 +210,7 @@ class _Scanner:
         scan.facts.compression.add(head.compression or "none")
         before = scan.tally.messages
         try:
-            fault = self._read_chunk(head, total)
+            found, fault = self._read_chunk(head, total)
         except Malformed as error:
             self._leave_chunk(
                 start, total, head, Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
@@ -187,12 +218,26 @@ class _Scanner:
             return
         scan.chunks += 1
         self._listed = ListedChunk(start, scan.tally.messages - before, damaged=fault is not None)
+        self._note_found(start, start + total, head, found if fault is None else None)
         if fault is not None:
             self.scan.losses.note(Malformed(f"chunk at byte {start}", fault.message, certain=fault.certain))
             scan.losses.chunks += 1
 
-    def _read_chunk(self, head: chunks.ChunkHead, total: int) -> Malformed | None:
-        """Pass over a chunk; return why not all of it could be followed.
+    def _note_found(self, start: int, end: int, head: chunks.ChunkHead, found: FoundMessages | None) -> None:
+        """Remember what was found of a chunk (None: not all that it holds), and compare it with what its head says."""
+        facts = self.scan.facts
+        if found is None:
+            self._found.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
+            return
+        times, channels = (found.first_ns, found.last_ns), facts.sets.number(found.channels)
+        known = UNKNOWN if channels == ANY_CHANNEL and found.channels else found.messages
+        self._found.append(ChunkClaim(start, end, *times, channels, known))
+        wrong = wrong_times((head.first_ns, head.last_ns), times) if found.messages else None
+        if wrong is not None:
+            facts.index_faults.note(start, f"its head is wrong: it says that its messages {wrong}")
+
+    def _read_chunk(self, head: chunks.ChunkHead, total: int) -> tuple[FoundMessages, Malformed | None]:
+        """Pass over a chunk; return what was found in it, and why not all of it could be followed.
 
         Raises:
             Malformed: nothing in it can be believed, and nothing was counted.
@@ -211,15 +256,18 @@ class _Scanner:
             if not is_held:
                 stream.advance(head.data_start)
             take = pieces_of(stored) if is_held else stream.read_up_to
-            fault = read_large_chunk(take, head, scan.facts, scan.tally, place)
+            found, fault = read_large_chunk(take, head, scan.facts, scan.tally, place)
             stream.advance(end - stream.position)
-            return fault
+            return found, fault
         batch = Batch(scan.facts.channels)
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         stretches = ((0, contents.walked),) if contents.fault else None
         self._count(batch, head, Place(CHUNK, stream.position, total, head.uncompressed, stretches))
         stream.advance(total)
-        return contents.fault
+        self._content = contents.raw
+        found = FoundMessages()
+        found.add(batch)
+        return found, contents.fault
 
     def _count(self, batch: Batch, head: chunks.ChunkHead, place: Place) -> None:
         self.scan.tally.learn(self.scan.facts.channels)
@@ -243,6 +291,7 @@ class _Scanner:
             if zeroed is not None:
                 used = self._save_beginning(zeroed, head)
         scan.losses.note(damage)
+        self._note_found(start, start + total, head, None)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total - used
         self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
@@ -258,23 +307,37 @@ class _Scanner:
         stream = self._stream
         return stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
-    def _read_cut_chunk(self, cut: Cut) -> None:
-        """Save what there is of a chunk that reaches beyond the end of the file."""
+    def _read_cut_chunk(self, cut: Cut, total: int) -> None:
+        """Save what there is of a chunk that reaches beyond the end of the file, or that was never finished.
+
+        `total`: bytes of the file that are left for it.
+        """
         stream, scan = self._stream, self.scan
         self._end_chunk()
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
         scan.losses.chunks += 1
-        left = stream.left
-        if left <= MAX_AT_ONCE:
-            stream.ahead(left)
-            stored = bytes(stream.window[stream.at + head.data_start :])
-            used = self._save_beginning(without_zero_tail(head.compression, stored) or stored, head)
+        start, before = stream.position, scan.tally.messages
+        if head.is_unfinished:
+            head = head._replace(stored=total - head.data_start)
+        if total <= MAX_AT_ONCE:
+            stream.ahead(total)
+            stored = bytes(stream.window[stream.at + head.data_start : stream.at + total])
+            stored = without_zero_tail(head.compression, stored) or stored
+            if head.is_unfinished and scan.losses.may_unpack(MAX_AT_ONCE, end=start + total):
+                head = chunks.with_known_size(head, stored)
+            used = self._save_beginning(stored, head)
         else:
-            place = Place(CUT, stream.position, left, head.uncompressed)
+            place = Place(CUT, start, total, head.uncompressed)
             stream.advance(head.data_start)
-            used = self._save_large_beginning(stream.read_up_to, stream.left, head, place)
-        self._give_up(cut, left - used)
+            used = self._save_large_beginning(stream.read_up_to, total - head.data_start, head, place)
+        if start + total == stream.size_bytes:
+            self._give_up(cut, total - used)
+            return
+        stream.advance(start + total - stream.position)
+        scan.losses.note(cut)
+        scan.losses.bytes += total - used
+        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
 
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
@@ -300,18 +363,33 @@ class _Scanner:
         scan.losses.unproven += scan.tally.messages - before
         return head.data_start + used if used else 0
 
-    def _note_listed(self) -> None:
+    def _note_listed(self, length: int) -> None:
         stream = self._stream
         if self._listed is not None:
             (entries_bytes,) = _U32.unpack_from(stream.window, stream.at + RECORD_HEAD.size + 2)
             self._listed.records += 1
             self._listed.messages += entries_bytes // 16
+            if self._content:
+                self._check_listed(self._listed.start, length)
+
+    def _check_listed(self, start: int, length: int) -> None:
+        """Compare a message index with the messages that it points at."""
+        stream = self._stream
+        stream.ahead(RECORD_HEAD.size + length)
+        body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + RECORD_HEAD.size + length])
+        try:
+            channel_id, stamps, offsets = records.read_message_index(body, "")
+            is_right = points_at_messages(self._content, channel_id, stamps, offsets)
+        except Malformed:
+            is_right = False
+        if not is_right:
+            self.scan.facts.index_faults.note(start, "its message index points at something else than its messages")
 
     def _end_chunk(self) -> None:
         """Compare the chunk before with its message indexes."""
         if self._listed is not None:
             self._listed.settle(self.scan.losses)
-            self._listed = None
+            self._listed, self._content = None, b""
 
     def _pass(self, total: int) -> None:
         """Pass over a record. Where none can begin behind it, its length is doubted: the search begins inside it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -18,11 +19,14 @@ from kleinkram.recordings.assemble import (
 )
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import Forward, from_source
+from kleinkram.recordings.index_claims import wrong_times
+from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
-from kleinkram.recordings.mcap.records import McapFacts, Schema
-from kleinkram.recordings.mcap.scan import Scan, scan_records
+from kleinkram.recordings.mcap.records import McapFacts, McapListener, Schema
+from kleinkram.recordings.mcap.scan import scan_records
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.oddities import gathered
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range
 from kleinkram.recordings.timeline import Timeline
@@ -42,40 +46,87 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
     problems: list[Problem] = []
     why = "it was never closed, so it has no index"
     if footer is not None:
-        timeline = Timeline()
+        timeline, losses = Timeline(), Losses()
         try:
-            facts = read_index(source, footer, timeline)
+            facts = read_index(source, footer, timeline, losses)
         except NotIndexed as refusal:
             why = str(refusal)
             if refusal.is_problem:
                 problems.append(Problem(refusal.code, source.name, why))
         else:
             _read_header(source, facts, problems)
-            return _summary(Content.indexed, None, facts, timeline, problems)
+            return _by_index(facts, timeline, losses, problems)
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.mcap, source.size_bytes, why, problems)
     return scan_mcap(from_source(source), problems)
 
 
-def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
+def scan_mcap(
+    forward: Forward, problems: Sequence[Problem] = (), listener: McapListener | None = None
+) -> RecordingSummary:
+    """Read all of a file that begins with the magic of MCAP. `problems`: found before. `listener`: as `scan_records`.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scan = scan_records(forward)
-    found = [*problems, *scan.losses.problems()]
+    scan = scan_records(forward, listener)
+    found = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.tally.messages
     if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
+    if not scan.losses.damage:
+        found += _wrong_statistics(scan.facts, scan.tally.timeline)
+    found += scan.facts.index_faults.problems()
+    found = found or [*problems]  # a scan says more exactly what is wrong with an index
     found += tell_lateness(scan.tally.lateness)
-    stated = claimed.messages if claimed is not None and not scan.losses.index_faults else None
-    content = _content(scan)
-    lost = scan.losses.total(claimed=stated, found=messages) if content is not Content.indexed else None
-    reason = None if content is Content.indexed else f"{_what_is_wrong(scan)}; {tell_readable(messages, lost)}"
-    summary = _summary(content, reason, scan.facts, scan.tally.timeline, found)
-    return replace(summary, depth=Depth.scan, lost=lost)
+    summary = _judged(_summary(scan.facts, scan.tally.timeline, found), scan.facts, scan.losses, closed=scan.closed)
+    return replace(summary, depth=Depth.scan)
+
+
+def _by_index(facts: McapFacts, timeline: Timeline, losses: Losses, problems: list[Problem]) -> RecordingSummary:
+    found = [*problems, *losses.problems(), *facts.index_faults.problems()]
+    if not losses.damage:
+        found += _wrong_statistics(facts, timeline)
+    summary = _summary(facts, timeline, found)
+    return _judged(summary, facts, losses, closed=True)
+
+
+def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
+    """Say where the statistics differ from the messages of a file that is whole."""
+    claimed = facts.statistics
+    runs = [run for times in timeline.topics.values() for run in times.runs]
+    if claimed is None or not runs:
+        return []
+    problems = []
+    span = min(run.first_ns for run in runs), max(run.last_ns for run in runs)
+    if wrong := wrong_times((claimed.start_ns, claimed.end_ns), span):
+        problems.append(Problem("index-damaged", "statistics", f"they say that the messages {wrong}"))
+    counts: dict[str, int] = defaultdict(int)
+    for number, count in claimed.counts:
+        if number in facts.channels:
+            counts[facts.channels[number].topic] += count
+    for topic, count in sorted(counts.items()) if sum(counts.values()) == claimed.messages else ():
+        found = timeline.topics[topic].count if topic in timeline.topics else 0
+        if found != count:
+            problems.append(
+                Problem("counts-disagree", topic, f"the statistics say {count} messages, there are {found}")
+            )
+    return gathered(problems)
+
+
+def _judged(summary: RecordingSummary, facts: McapFacts, losses: Losses, *, closed: bool) -> RecordingSummary:
+    """Add how far a file can be read, and what is lost of it."""
+    messages = summary.message_count or 0
+    content = _content(
+        losses, closed=closed, holds_anything=bool(messages or facts.attachments or facts.metadata_records)
+    )
+    if content is Content.indexed:
+        return replace(summary, content=content)
+    stated = facts.statistics.messages if facts.statistics is not None and not losses.index_faults else None
+    lost = losses.total(claimed=stated, found=messages)
+    reason = f"{_what_is_wrong(losses, closed=closed)}; {tell_readable(messages, lost)}"
+    return replace(summary, content=content, reason=reason, lost=lost)
 
 
 def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> None:
@@ -91,33 +142,25 @@ def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> N
         problems.append(Problem("header-damaged", error.where, error.message))
 
 
-def _content(scan: Scan) -> Content:
-    if scan.closed and not scan.losses.damage:
+def _content(losses: Losses, *, closed: bool, holds_anything: bool) -> Content:
+    if closed and not losses.damage:
         return Content.indexed
-    if scan.tally.messages or scan.facts.attachments or scan.facts.metadata_records:
+    if holds_anything:
         return Content.recovered
-    return (
-        Content.broken
-        if any(fault.certain for fault in scan.losses.damage) or not scan.losses.damage
-        else Content.opaque
-    )
+    return Content.broken if any(fault.certain for fault in losses.damage) or not losses.damage else Content.opaque
 
 
-def _what_is_wrong(scan: Scan) -> str:
-    never_closed = "" if scan.closed else "it has no footer, so it was cut or never closed"
-    if not scan.losses.damage:
+def _what_is_wrong(losses: Losses, *, closed: bool) -> str:
+    never_closed = "" if closed else "it has no footer, so it was cut or never closed"
+    if not losses.damage:
         return never_closed
-    damage = f"damaged {tell_damage(scan.losses.damage)}"
-    if scan.losses.unproven:
-        damage += (
-            f"; {scan.losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
-        )
+    damage = f"damaged {tell_damage(losses.damage)}"
+    if losses.unproven:
+        damage += f"; {losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
     return f"{never_closed}; {damage}" if never_closed else f"it is {damage}"
 
 
-def _summary(
-    content: Content, reason: str | None, facts: McapFacts, timeline: Timeline, problems: list[Problem]
-) -> RecordingSummary:
+def _summary(facts: McapFacts, timeline: Timeline, problems: list[Problem]) -> RecordingSummary:
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     measured: Measured = measure(timeline, _topic_types(facts))
@@ -126,8 +169,7 @@ def _summary(
     ]
     return RecordingSummary(
         format=RecordingFormat.mcap,
-        content=content,
-        reason=reason,
+        content=Content.indexed,
         message_count=measured.message_count,
         start_ns=measured.start_ns,
         end_ns=measured.end_ns,

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import struct
+from array import array
+from collections.abc import Iterable
+from itertools import repeat
+from operator import eq
 
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.mcap.records import MESSAGE, RECORD_HEAD
@@ -10,6 +14,17 @@ from kleinkram.recordings.tally import Batch
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
+
+
+_INDEXED_HEAD = struct.Struct("<B8xH4xQ")
+
+
+def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], offsets: array[int]) -> bool:
+    """Say whether a message of a channel with each of these log times stands at each of these places of a chunk."""
+    if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
+        return False
+    found = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
+    return all(map(eq, found, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:

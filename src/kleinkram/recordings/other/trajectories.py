@@ -1,20 +1,26 @@
-"""Trajectories of TUM and KITTI: how many poses, from when to when, how long a way. One pass, nothing kept.
+"""Trajectories of TUM, KITTI and EuRoC: how many poses, from when to when, how long a way. One pass, nothing kept.
+
+TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp tells: the
+largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
 
 Source: TUM RGB-D file formats (`timestamp tx ty tz qx qy qz qw`, seconds and metres); KITTI odometry (the upper
-3 x 4 of a pose a line, row by row, metres).
+3 x 4 of a pose a line, row by row, metres); EuRoC MAV's state_groundtruth_estimate0/data.csv (nanoseconds, place,
+quaternion with w first, then 9 more columns) and vicon0/data.csv (the first 8 of them).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from decimal import Decimal
 from math import hypot, isfinite
 
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.other.lines import read_lines
 
-_NS_DIGITS = 9
-_NS = 1_000_000_000
+_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_MAX_STAMP_DIGITS = 40
 _LATEST_NS = 2**63 - 1
 _UNIT_TOLERANCE = 0.01
 _REASONS = {
@@ -22,11 +28,18 @@ _REASONS = {
     RecordingFormat.kitti: "a trajectory (KITTI), not a recording",
 }
 _COLUMNS = {RecordingFormat.tum: 8, RecordingFormat.kitti: 12}
-_PLACES = {RecordingFormat.tum: (1, 2, 3), RecordingFormat.kitti: (3, 7, 11)}
+_PLACES_OF_KITTI = (3, 7, 11)
 
 
 @dataclass
-class _Trajectory:
+class Trajectory:
+    """What is known of a trajectory so far.
+
+    Attributes:
+        unit: of its stamps, a key of `_UNITS`; empty until the first one is read.
+    """
+
+    unit: str = ""
     poses: int = 0
     length_m: float = 0.0
     bad_lines: int = 0
@@ -45,73 +58,117 @@ def describe_trajectory(kind: RecordingFormat, forward: Forward) -> RecordingSum
     Raises:
         SourceError: as `Forward.read`.
     """
-    found = _Trajectory()
+    found = Trajectory()
     for number, line in enumerate(read_lines(forward), 1):
         text = line.strip()
         if text and not text.startswith(b"#") and not _add(found, kind, text):
             found.bad_lines += 1
             found.first_bad_line = found.first_bad_line or number
-    facts = [Fact("poses", found.poses), Fact("path_length", round(found.length_m, 3), "m")]
-    if found.start_ns is not None and found.end_ns is not None:
-        facts.append(Fact("duration", round((found.end_ns - found.start_ns) / 1e9, 6), "s"))
     return RecordingSummary(
         kind,
         Content.opaque,
         _REASONS[kind],
         start_ns=found.start_ns,
         end_ns=found.end_ns,
-        problems=tuple(_problems(found)),
-        facts=tuple(facts),
+        problems=(*_unit_problems(found), *trajectory_problems(found)),
+        facts=tuple(trajectory_facts(found)),
     )
 
 
-def _add(found: _Trajectory, kind: RecordingFormat, text: bytes) -> bool:
+def trajectory_facts(found: Trajectory) -> list[Fact]:
+    """Return how many poses there are, how long the way is, and from when to when."""
+    facts = [Fact("poses", found.poses), Fact("path_length", round(found.length_m, 3), "m")]
+    if found.start_ns is not None and found.end_ns is not None:
+        facts.append(Fact("duration", round((found.end_ns - found.start_ns) / 1e9, 6), "s"))
+    if found.unit not in ("", "s"):
+        facts.append(Fact("stamp_unit", found.unit))
+    return facts
+
+
+def _add(found: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
     """Add a pose; False if the line is none."""
     cells = text.split()
     if len(cells) != _COLUMNS[kind]:
         return False
+    if kind is RecordingFormat.tum:
+        return add_stamped_pose(found, cells)
     try:
         numbers = [float(cell) for cell in cells]
-        stamp = parse_seconds(cells[0].decode()) if kind is RecordingFormat.tum else None
+    except ValueError:
+        return False
+    if not all(map(isfinite, numbers)):
+        return False
+    _add_place(found, tuple(numbers[column] for column in _PLACES_OF_KITTI))
+    return True
+
+
+def add_stamped_pose(found: Trajectory, cells: list[bytes]) -> bool:
+    """Add a pose of 8 cells: stamp, place, quaternion; False if they are none."""
+    try:
+        numbers = [float(cell) for cell in cells]
+        found.unit = found.unit or unit_of(cells[0].decode())
+        stamp = parse_stamp(cells[0].decode(), found.unit)
     except (ValueError, UnicodeDecodeError):
         return False
     if not all(map(isfinite, numbers)):
         return False
-    if stamp is not None:
-        if stamp < found.last_ns:
-            found.backward += 1
-        found.last_ns = stamp
-        found.start_ns = stamp if found.start_ns is None else min(found.start_ns, stamp)
-        found.end_ns = stamp if found.end_ns is None else max(found.end_ns, stamp)
-        found.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
-    place = tuple(numbers[column] for column in _PLACES[kind])
+    found.backward += stamp < found.last_ns
+    found.last_ns = stamp
+    found.start_ns = stamp if found.start_ns is None else min(found.start_ns, stamp)
+    found.end_ns = stamp if found.end_ns is None else max(found.end_ns, stamp)
+    found.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
+    _add_place(found, tuple(numbers[1:4]))
+    return True
+
+
+def _add_place(found: Trajectory, place: tuple[float, ...]) -> None:
     if found.last_place:
         found.length_m += hypot(*(a - b for a, b in zip(place, found.last_place, strict=True)))
     found.last_place = place
     found.poses += 1
-    return True
 
 
-def parse_seconds(text: str) -> int:
-    """Return seconds, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats.
+def unit_of(text: str) -> str:
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it.
+
+    Raises:
+        ValueError: it is no number, or none that a clock can show in any unit.
+    """
+    for unit in _UNITS:
+        try:
+            parse_stamp(text, unit)
+        except ValueError:
+            continue
+        return unit
+    raise ValueError(text)
+
+
+def parse_stamp(text: str, unit: str = "s") -> int:
+    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats.
 
     Raises:
         ValueError: it is no number, or none that a clock can show.
     """
-    whole, _, part = text.partition(".")
-    if whole.isdecimal() and (part.isdecimal() or not part):
-        stamp = int(whole[:20]) * _NS + int(part[:_NS_DIGITS].ljust(_NS_DIGITS, "0") or 0)
-    else:
-        nanoseconds = float(text) * _NS
-        if not isfinite(nanoseconds):
-            raise ValueError(text)
-        stamp = round(nanoseconds)
+    try:
+        number = Decimal(text[:_MAX_STAMP_DIGITS] if "e" not in text.lower() else text)
+        is_usual = number.is_finite() and number.adjusted() < _MAX_STAMP_DIGITS
+        stamp = int(number * _UNITS[unit]) if is_usual else -1
+    except ArithmeticError:
+        stamp = -1
     if not 0 <= stamp <= _LATEST_NS:
         raise ValueError(text)
     return stamp
 
 
-def _problems(found: _Trajectory) -> list[Problem]:
+def _unit_problems(found: Trajectory) -> list[Problem]:
+    if found.unit in ("", "s"):
+        return []
+    message = f"the stamps are in {_UNIT_NAMES[found.unit]}, where TUM has seconds; they are read as such"
+    return [Problem("stamp-unit", "file", message)]
+
+
+def trajectory_problems(found: Trajectory) -> list[Problem]:
+    """Return what is wrong with a trajectory."""
     problems: list[Problem] = []
     if found.bad_lines:
         message = f"{found.bad_lines} lines are no poses"

@@ -46,6 +46,7 @@ class _Log:
     told: dict[str, str] = field(default_factory=dict)
     waiting: int = 0
     without_time: int = 0
+    before_start: int = 0
     undefined: int = 0
     dropouts: int = 0
     dropped_ms: int = 0
@@ -109,6 +110,7 @@ def _read_data(log: _Log, body: bytes) -> None:
     if place is None or at + _U64.size > len(body) or (stamp := _U64.unpack_from(body, at)[0]) > _LATEST_US:
         log.without_time += 1
         return
+    log.before_start += stamp < log.start_us
     log.stamps[name].append(max(stamp, log.start_us) * 1000)
     log.sizes[name] += _HEAD.size + len(body)
     log.waiting += 1
@@ -186,6 +188,9 @@ def _problems(log: _Log) -> list[Problem]:
     if log.without_time:
         message = f"{log.without_time} messages have no timestamp that can be read; left out"
         problems.append(Problem("rows-unusable", "file", message))
+    if log.before_start:
+        message = f"{log.before_start} messages are stamped before the log's start; their log time is that of the start"
+        problems.append(Problem("stamps-before-start", "file", message))
     if log.undefined:
         message = f"{log.undefined} messages belong to no topic that the log defines; left out"
         problems.append(Problem("topic-undefined", "file", message))

@@ -10,14 +10,17 @@ from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Fields
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_HEADER
-from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable
+from kleinkram.recordings.index_claims import FoundMessages
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_HEADER
+from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.mcap_chunks import RunBuilder
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Schema, Selection
-from kleinkram.recordings.stream import ForwardStream
+from kleinkram.recordings.sources import Source
+from kleinkram.recordings.stream import ForwardStream, open_range
 
 MESSAGE_DATA = 0x02
+_HEAD_WINDOW = 4096
 _U32 = struct.Struct("<I")
 _S = 1_000_000_000
 
@@ -48,6 +51,26 @@ def open_chunk(stream: ForwardStream) -> ChunkHead:
     head = records.read_chunk_head(stream)
     compression = "" if head.compression == "none" else head.compression
     return ChunkHead(compression, head.uncompressed_bytes, 0, head.data_bytes)
+
+
+def read_message_index(source: Source, row: Row) -> FoundMessages | None:
+    """Return what the index data behind a chunk list; None where there are none, or they cannot be read.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    stream, found = open_range(source, row.start, row.end, window=_HEAD_WINDOW), FoundMessages()
+    try:
+        stream.skip(records.read_chunk_head(stream).data_bytes)
+        if not 0 < row.end - stream.position <= MAX_CHUNK_INDEX:
+            return None
+        stream = open_range(source, stream.position, row.end)
+        while not stream.at_end():
+            number, stamps, _offsets = records.read_index_data(stream)
+            found.add_index(number, stamps)
+    except Malformed:
+        return None
+    return found
 
 
 def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
@@ -159,10 +182,17 @@ def table_of_records(stream: ForwardStream) -> ChunkTable:
     return table
 
 
+_MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
+"""The md5sum of a type without fields: its empty definition is no missing one."""
+
+
 def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Channel]:
     """Return number and channel of a connection record."""
     inner = Fields(data, where)
     topic = fields.text("topic") or inner.text("topic", "")
     name = inner.text("type")
-    schema = Schema(name, "ros1msg", inner.blob("message_definition"))
+    definition = inner.blob("message_definition")
+    if not definition.strip() and inner.text("md5sum", "") == _MD5_OF_NOTHING:
+        definition = b"# no fields\n"
+    schema = Schema(name, "ros1msg", definition)
     return fields.u32("conn"), Channel(topic, "ros1", schema)

@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.bag import records
 from kleinkram.recordings.bag.records import Fields, read_chunk_counts
-from kleinkram.recordings.bag.scan import scan_bag_records
+from kleinkram.recordings.bag.summary import scan_bag
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import SourceForward
 from kleinkram.recordings.limits import MAX_CHUNKS, MAX_TOPICS
 from kleinkram.recordings.listening import CHUNK
+from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.reading.bag_chunks import read_connection, walk
 from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import MAX_DEFINITIONS
@@ -93,7 +94,7 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> li
             flat = read_chunk_counts(fields, stream.take(record.data_bytes), where)
             for number, count in zip(flat[0::2], flat[1::2], strict=True):
                 index.counts[number] += count
-            members = index.table.set_number(flat[0::2])
+            members = index.table.sets.number(flat[0::2])
             found.append((fields.u64("chunk_pos"), fields.time_ns("start_time"), fields.time_ns("end_time"), members))
             if len(found) > MAX_CHUNKS:
                 raise Malformed(where, f"more than {MAX_CHUNKS} chunks", certain=False)
@@ -130,17 +131,16 @@ class _Gathering(Gathering):
             self.noticed.add("damaged", error.where, error.message)
 
 
-def rebuild_index(source: Source, noticed: Noticed) -> BagIndex:
-    """Return the index of what can be read of a bag, which is scanned once from end to end; what cannot is noted.
+def rebuild_index(source: Source, noticed: Noticed) -> tuple[BagIndex, RecordingSummary]:
+    """Return the index of what can be read of a bag, which is scanned once from end to end, and its summary; what
+    cannot be read is noted.
 
     Raises:
         SourceError: as `Source.read`.
     """
     index = BagIndex()
     gathering = _Gathering(index, noticed)
-    scan = scan_bag_records(SourceForward(source), gathering)
-    gathering.finish(scan.losses)
-    if scan.refused is not None:
-        noticed.add("damaged", scan.refused.where, scan.refused.message)
+    summary = scan_bag(SourceForward(source), listener=gathering)
+    gathering.close()
     index.counts.update((number, count) for number, count in gathering.counts.items() if number in index.channels)
-    return index
+    return index, summary

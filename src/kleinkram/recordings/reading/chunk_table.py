@@ -6,18 +6,14 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
+from kleinkram.recordings.index_claims import ANY_CHANNEL, ChannelSets
 from kleinkram.recordings.listening import Stretches
 from kleinkram.recordings.packed import PackedTable
 from kleinkram.recordings.reading.model import Selection
-
-MAX_SET_BYTES = 16 * 2**20
-ANY_CHANNEL = 0
-"""The set of a chunk of which is not known who is in it."""
 
 
 class ChunkHead(NamedTuple):
@@ -55,29 +51,15 @@ class ChunkTable:
 
     rows: PackedTable[Row] = field(default_factory=lambda: PackedTable(Row, len(Row._fields)))
     stretches: dict[int, Stretches] = field(default_factory=dict)
-    _sets: list[frozenset[int]] = field(default_factory=lambda: [frozenset()])
-    _numbers: dict[frozenset[int], int] = field(default_factory=dict)
-    _set_bytes: int = 0
-
-    def set_number(self, channel_ids: Iterable[int]) -> int:
-        """Return the number of a set of channels; `ANY_CHANNEL` once the sets take too much memory."""
-        members = frozenset(channel_ids)
-        number = self._numbers.get(members)
-        if number is None:
-            self._set_bytes += 200 + 64 * len(members)
-            if self._set_bytes > MAX_SET_BYTES:
-                return ANY_CHANNEL
-            number = self._numbers[members] = len(self._sets)
-            self._sets.append(members)
-        return number
+    sets: ChannelSets = field(default_factory=ChannelSets)
 
     def known_channels(self) -> frozenset[int]:
         """Return all channels that some chunk is known to hold."""
-        return frozenset().union(*self._sets)
+        return frozenset().union(*self.sets.members)
 
     def select(self, selection: Selection, wanted: frozenset[int]) -> array[int]:
         """Return the numbers of the rows that may hold what is wanted, by their first time, then by place."""
-        hits = [number == ANY_CHANNEL or bool(members & wanted) for number, members in enumerate(self._sets)]
+        hits = [number == ANY_CHANNEL or bool(members & wanted) for number, members in enumerate(self.sets.members)]
         columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
         start_ns, end_ns = selection.start_ns, selection.end_ns
         firsts, lasts, sets = columns

@@ -7,7 +7,9 @@ what a scan finds in it is read. One larger than `MAX_CHUNK_HELD` goes through a
 
 from __future__ import annotations
 
+import heapq
 import zlib
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
@@ -18,6 +20,7 @@ from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_READ, WINDOW
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS
 from kleinkram.recordings.reading.ahead import Job, do_ahead
 from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
+from kleinkram.recordings.reading.index_check import IndexCheck, ReadMessageIndex
 from kleinkram.recordings.reading.merging import OVERHEAD_BYTES, Block, Piece, Run, merge
 from kleinkram.recordings.reading.model import Channel, Selection
 from kleinkram.recordings.reading.noticing import Noticed
@@ -55,18 +58,23 @@ class ChunkFormat:
         parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
         table_of_records: where messages stand in the content of a chunk that is too large to hold.
         salvage: where messages stand in parts of a file, such as a chunk that is damaged.
+        read_message_index: what the message index behind a chunk lists.
     """
 
     open_chunk: Callable[[ForwardStream], ChunkHead]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
     table_of_records: Callable[[ForwardStream], ChunkTable]
     salvage: Salvage
+    read_message_index: ReadMessageIndex
 
 
 @dataclass(frozen=True)
 class ChunkedFile:
-    """A file, where its chunks are, and who writes in them. `is_part`: it is part of a damaged or
-    large chunk, of which no more can be saved.
+    """A file, where its chunks are, and who writes in them.
+
+    Attributes:
+        is_part: it is part of a damaged or large chunk, of which no more can be saved.
+        check: whether the table may be believed; None: it was not made of the file's own index.
     """
 
     source: Source
@@ -75,6 +83,7 @@ class ChunkedFile:
     channels: Mapping[int, Channel]
     noticed: Noticed
     is_part: bool = False
+    check: IndexCheck | None = None
 
 
 Loaded = Buffer | Malformed | None
@@ -88,22 +97,8 @@ def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -
         for number, channel in file.channels.items()
         if selection.topics is None or channel.topic in selection.topics
     }
-    numbers = file.table.select(selection, frozenset(wanted))
     reader = _Reader(file, wanted, selection)
-    loaded = reader.load_ahead(numbers)
-    for number in numbers:
-        row = file.table.rows[number]
-
-        def open_next(row: Row = row) -> Run:
-            return reader.open(row, next(loaded))
-
-        def read_again(row: Row = row) -> Block:
-            return reader.read_again(row)
-
-        is_small = row.kind == CHUNK and row.uncompressed_bytes <= MAX_CHUNK_HELD
-        yield Piece(
-            max(row.first_ns, selection.start_ns), (*order, number), open_next, read_again if is_small else None
-        )
+    yield from reader.pieces(reader.select(), order)
 
 
 class _Reader:
@@ -113,6 +108,51 @@ class _Reader:
         self._selection = selection
         self._salvage_left = MAX_SALVAGED
         self._searched = False
+        self._numbers = array("Q")
+
+    def select(self) -> array[int]:
+        """Return the numbers of the chunks that may hold what is wanted, by their first time."""
+        file, wanted, check = self._file, frozenset(self._wanted), self._file.check
+        is_limited = len(self._wanted) < len(file.channels) or self._selection[1:] != Selection()[1:]
+        if check is not None and is_limited:
+            check.before_selecting()
+        self._numbers = file.table.select(self._selection, wanted)
+        if check is not None and wanted and not self._numbers:
+            check.when_nothing_fits()
+            self._numbers = file.table.select(self._selection, wanted)
+        return self._numbers
+
+    def pieces(self, numbers: Iterable[int], order: tuple[int, ...]) -> Iterator[Piece]:
+        """Yield chunks, to be opened in this order."""
+        selection, loaded = self._selection, self.load_ahead(numbers)
+        for number in numbers:
+            row = self._file.table.rows[number]
+
+            def open_next(row: Row = row) -> Run:
+                return self._with_missed(row, self.open(row, next(loaded)))
+
+            def read_again(row: Row = row) -> Block:
+                return self.read_again(row)
+
+            is_small = row.kind == CHUNK and row.uncompressed_bytes <= MAX_CHUNK_HELD
+            yield Piece(
+                max(row.first_ns, selection.start_ns), (*order, number), open_next, read_again if is_small else None
+            )
+
+    def _with_missed(self, row: Row, run: Run) -> Run:
+        """Return the messages of a chunk; where it shows that the index is wrong, with those of the chunks that were
+        not selected for that reason.
+        """
+        check = self._file.check
+        if check is None or not check.settle():
+            return run
+        selected = set(self._numbers)
+        missed = [n for n in self._file.table.select(self._selection, frozenset(self._wanted)) if n not in selected]
+        if not missed:
+            return run
+        own = Piece(row.first_ns, (0,), lambda: run)
+        pieces = heapq.merge([own], self.pieces(missed, (1,)), key=lambda piece: piece.first_ns)
+        return Run([], 0, merge(pieces, self._file.noticed.note_late))
 
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
@@ -147,7 +187,7 @@ class _Reader:
         if len(group) == 1 or span > MAX_READ:
             return [self._load(row) for row in group]
         data = memoryview(self._file.source.read(first.start, span))
-        return [self._unpack(row, data[row.start - first.start :][: row.length]) for row in group]
+        return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
         if row.kind == RECORDS:
@@ -155,10 +195,13 @@ class _Reader:
                 return Malformed(
                     f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
                 )
-            return _read(self._file.source, row.start, row.length)
-        if max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
+        elif max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
             return None
-        return self._unpack(row, _read(self._file.source, row.start, row.length))
+        return self._take(row, _read(self._file.source, row.start, row.length))
+
+    def _take(self, row: Row, data: Buffer) -> Loaded:
+        """Return the content of a row whose bytes are at hand: records as they stand, a chunk unpacked."""
+        return data if row.kind == RECORDS else self._unpack(row, data)
 
     def _unpack(self, row: Row, data: Buffer) -> Loaded:
         try:
@@ -286,12 +329,23 @@ class _Reader:
         return read
 
     def _compare_start(self, row: Row, messages: Block) -> None:
-        """Note a chunk that holds earlier messages than the index says: it may have been opened too late for them."""
-        if messages and messages[0].log_time_ns < row.first_ns:
+        """Note a chunk that holds other messages than the index says: it may have been opened too late for them."""
+        if not messages:
+            return
+        if messages[-1].log_time_ns > row.last_ns:
+            message = "it holds later messages than the index says"
+            self._file.noticed.add("index-damaged", f"chunk at byte {row.start}", message)
+            self._doubt_index()
+        if messages[0].log_time_ns < row.first_ns:
+            self._doubt_index()
             message = (
                 "it holds earlier messages than the index says; those that came too late to be in order are left out"
             )
             self._file.noticed.add("index-damaged", f"chunk at byte {row.start}", message)
+
+    def _doubt_index(self) -> None:
+        if self._file.check is not None:
+            self._file.check.doubt()
 
     def _note_part(self, row: Row, error: Malformed) -> None:
         message = f"only what could be saved of it is read: {error.message}"

@@ -38,6 +38,9 @@ _Row = tuple[object, object, object]
 class DatabaseMember:
     """A database, its channels being the rows of `topics`."""
 
+    summary = None
+    """Opening it reads little of it."""
+
     def __init__(
         self, path: Path, name: str, noticed: Noticed, recover: Callable[[], Member], *, message_compression: str = ""
     ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from kleinkram.recordings.limits import MAX_CHUNKS, WINDOW
 from kleinkram.recordings.listening import RECORDS, Place
-from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.tally import ROW, Batch
@@ -60,7 +59,7 @@ class Gathering:
         place = self._place
         if place is not None and self._remembers(place):
             kind, start, length, uncompressed, stretches = place
-            members = self._table.set_number(self._channels)
+            members = self._table.sets.number(self._channels)
             times = self._first_ns, self._last_ns
             self._table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
             if stretches is not None:
@@ -78,12 +77,6 @@ class Gathering:
         self._place, self._messages = None, 0
         self._channels, self._counts_here = set(), {}
         self._first_ns, self._last_ns = _NO_TIME
-
-    def finish(self, losses: Losses) -> None:
-        """End the table, and note what the scan could not read."""
-        self.close()
-        for problem in losses.problems():
-            self.noticed.add(problem.code, problem.where, problem.message)
 
     def _joins(self, place: Place) -> bool:
         known = self._place

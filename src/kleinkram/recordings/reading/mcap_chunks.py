@@ -8,13 +8,15 @@ from typing import NamedTuple
 
 from kleinkram.recordings.decompress import Buffer
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_NAME, WINDOW
+from kleinkram.recordings.index_claims import FoundMessages
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, WINDOW
 from kleinkram.recordings.listening import RECORDS
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Selection
-from kleinkram.recordings.stream import ForwardStream
+from kleinkram.recordings.sources import Source
+from kleinkram.recordings.stream import ForwardStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -57,9 +59,36 @@ def read_chunk_head(stream: ForwardStream, length: int) -> ChunkHead:
         raise Malformed(where, f"the name of its compression has {name_length} bytes")
     name = stream.take(name_length).decode("utf-8", "replace")
     (stored,) = _U64.unpack(stream.take(_U64.size))
+    if records.PLACEHOLDER in (length, uncompressed, stored):
+        if uncompressed == records.PLACEHOLDER:
+            uncompressed, crc = records.UNFINISHED_CHUNK_BYTES, 0
+        return ChunkHead(name, uncompressed, crc, stored)
     if stored != end - stream.position:
         raise Malformed(where, f"{stored} bytes are claimed, {end - stream.position} are there")
     return ChunkHead(name, uncompressed, crc, stored)
+
+
+def read_message_index(source: Source, row: Row) -> FoundMessages | None:
+    """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    index_start = row.start + row.length
+    if not 0 < row.end - index_start <= MAX_CHUNK_INDEX:
+        return None
+    stream, found = open_range(source, index_start, row.end), FoundMessages()
+    try:
+        while not stream.at_end():
+            where = f"byte {stream.position}"
+            opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+            if opcode != records.MESSAGE_INDEX:
+                return None
+            channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
+            found.add_index(channel_id, stamps)
+    except Malformed:
+        return None
+    return found
 
 
 def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
@@ -151,7 +180,7 @@ class RunBuilder:
         """End the row that was begun, if any: something else follows."""
         if self._count:
             length = self._end - self._start
-            members = self._table.set_number(self._channels)
+            members = self._table.sets.number(self._channels)
             row = Row(self._start, length, self._end, self._first_ns, self._last_ns, RECORDS, members, length)
             self._table.rows.append(row)
         self._first_ns, self._last_ns, self._count = 2**64 - 1, 0, 0

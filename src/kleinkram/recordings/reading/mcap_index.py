@@ -12,12 +12,15 @@ import zlib
 from dataclasses import dataclass, field
 from itertools import chain
 
+from kleinkram.recordings.decompress import is_known_compression
 from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.index_claims import ANY_CHANNEL
 from kleinkram.recordings.limits import TAIL
 from kleinkram.recordings.listening import CHUNK
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.index import read_compression
 from kleinkram.recordings.mcap.records import BodyReader
-from kleinkram.recordings.reading.chunk_table import ANY_CHANNEL, ChunkTable, Row
+from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import Definitions
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
@@ -39,6 +42,7 @@ class McapIndex:
     Attributes:
         counts: messages by channel; None where the file does not say.
         others: where attachments and metadata stand, each [start, end).
+        unreadable: starts of chunks whose compression is not one that is read.
     """
 
     definitions: Definitions = field(default_factory=Definitions)
@@ -50,6 +54,7 @@ class McapIndex:
     channel_count: int | None = None
     chunk_count: int | None = None
     others: list[tuple[int, int]] = field(default_factory=list)
+    unreadable: set[int] = field(default_factory=set)
 
 
 def read_index(source: Source) -> McapIndex:
@@ -67,6 +72,7 @@ def read_index(source: Source) -> McapIndex:
         summary_start = _read_summary(source, tail, tail_start, index)
         _check(index)
         _check_places(index, summary_start)
+        _check_compressions(source, index)
         _refuse_messages_outside_chunks(_Known(source, tail, tail_start), index, summary_start)
     except Malformed as error:
         raise NotIndexed("index-damaged", f"the index cannot be used: {error}", is_problem=True) from error
@@ -129,9 +135,10 @@ def _read_chunk_index(index: McapIndex, body: bytes, where: str) -> None:
         raise Malformed(where, "a chunk index that ends within an entry")
     channel_ids = [channel_id for channel_id, _ in _OFFSET.iter_unpack(offsets)]
     (index_length,) = reader.fields(_U64)
-    reader.text()
+    if not is_known_compression(reader.text()):
+        index.unreadable.add(start)
     _stored, uncompressed = reader.fields(_SIZES)
-    known = index.table.set_number(channel_ids) if channel_ids else ANY_CHANNEL
+    known = index.table.sets.number(channel_ids) if channel_ids else ANY_CHANNEL
     end = start + length + index_length
     index.table.rows.append(Row(start, length, end, first_ns, last_ns, CHUNK, known, uncompressed))
 
@@ -176,6 +183,21 @@ def _check_places(index: McapIndex, summary_start: int) -> None:
         if row.end > summary_start:
             raise Malformed(f"byte {row.start}", "the chunk index points behind the data")
         end = row.end
+
+
+def _check_compressions(source: Source, index: McapIndex) -> None:
+    """Ask the chunks whose compression, as the index says, is not one that is read. Of those that say so themselves,
+    the statistics count messages that nobody can read.
+    """
+    if not index.unreadable:
+        return
+    for row in index.table.rows:
+        if row.start in index.unreadable:
+            compression = read_compression(source, row.start, row.end)
+            if compression is not None and is_known_compression(compression):
+                index.unreadable.discard(row.start)
+    if index.unreadable:
+        index.counts = index.message_count = None
 
 
 def _refuse_messages_outside_chunks(known: _Known, index: McapIndex, summary_start: int) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import SourceForward
 from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.scan import scan_records
+from kleinkram.recordings.mcap.summary import scan_mcap
+from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.reading.chunk_table import Row
 from kleinkram.recordings.reading.gathering import Gathering
 from kleinkram.recordings.reading.mcap_index import McapIndex
@@ -30,20 +31,20 @@ class _Gathering(Gathering):
             self.noticed.add("damaged", error.where, error.message)
 
 
-def rebuild_index(source: Source, noticed: Noticed) -> McapIndex:
-    """Return the index of what can be read of an MCAP; what cannot is noted.
+def rebuild_index(source: Source, noticed: Noticed) -> tuple[McapIndex, RecordingSummary]:
+    """Return the index of what can be read of an MCAP, and its summary; what cannot be read is noted.
 
     Raises:
         SourceError: as `Source.read`.
     """
     index = McapIndex()
     gathering = _Gathering(index, noticed)
-    scan = scan_records(SourceForward(source), gathering)
-    gathering.finish(scan.losses)
+    summary = scan_mcap(SourceForward(source), listener=gathering)
+    gathering.close()
     known, rows = index.definitions.channels, index.table.rows
     index.counts = {number: count for number, count in gathering.counts.items() if number in known}
     index.message_count = sum(index.counts.values())
     if index.message_count:
         index.start_ns = min(rows.column(Row._fields.index("first_ns")))
         index.end_ns = max(rows.column(Row._fields.index("last_ns")))
-    return index
+    return index, summary

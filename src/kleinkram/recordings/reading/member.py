@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import gt
 from typing import Protocol
 
 from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.reading import bag_chunks, bag_index, mcap_chunks
-from kleinkram.recordings.reading.chunk_table import Row
+from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.chunked import ChunkedFile, ChunkFormat, pieces_of
 from kleinkram.recordings.reading.errors import TooCostly
+from kleinkram.recordings.reading.index_check import IndexCheck
 from kleinkram.recordings.reading.mcap_index import McapIndex, read_index
 from kleinkram.recordings.reading.mcap_rebuild import rebuild_index
 from kleinkram.recordings.reading.merging import Piece
@@ -45,6 +48,10 @@ class Member(Protocol):
     def contents(self) -> Contents:
         """What it says of itself."""
 
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """What is in it, if it was read from end to end to be opened."""
+
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield what may hold the messages that are wanted, by first time."""
 
@@ -55,20 +62,46 @@ class Member(Protocol):
 class ChunkedMember:
     """A file made of chunks."""
 
-    def __init__(self, file: ChunkedFile, contents: Contents) -> None:
-        self.contents = contents
+    def __init__(self, file: ChunkedFile, contents: Contents, summary: RecordingSummary | None = None) -> None:
+        self._contents = contents
+        self.summary = summary
         self._file = file
+
+    @property
+    def contents(self) -> Contents:
+        """What it says of itself; the span by its message indexes once the index was seen to be wrong."""
+        check = self._file.check
+        if check is None or check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield the chunks that may hold the messages that are wanted, by first time."""
         return pieces_of(self._file, selection, order)
 
+    def doubt_index(self) -> None:
+        """State that the file's index was seen to be wrong."""
+        if self._file.check is not None:
+            self._file.check.doubt()
+
     def close(self) -> None:
         """Do nothing: whoever opened the source closes it."""
 
 
-MCAP = ChunkFormat(mcap_chunks.open_chunk, mcap_chunks.parse_messages, mcap_chunks.table_of_records, salvage_mcap)
-_BAG = ChunkFormat(bag_chunks.open_chunk, bag_chunks.parse_messages, bag_chunks.table_of_records, salvage_bag)
+MCAP = ChunkFormat(
+    mcap_chunks.open_chunk,
+    mcap_chunks.parse_messages,
+    mcap_chunks.table_of_records,
+    salvage_mcap,
+    mcap_chunks.read_message_index,
+)
+_BAG = ChunkFormat(
+    bag_chunks.open_chunk,
+    bag_chunks.parse_messages,
+    bag_chunks.table_of_records,
+    salvage_bag,
+    bag_chunks.read_message_index,
+)
 
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
@@ -90,11 +123,18 @@ def open_mcap(
         TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
-    index = _mcap_index(source, noticed, most_bytes)
+    index, summary = _mcap_index(source, noticed, most_bytes)
     channels = index.definitions.resolve(message_compression)
+    check = None
+    if summary is None:
+        check = IndexCheck(source, index.table, noticed, mcap_chunks.read_message_index)
+        if _contradicts_itself(index.table, None if index.unreadable else (index.start_ns, index.end_ns)):
+            check.doubt()
+            check.settle()
     start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
     contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, MCAP, index.table, channels, noticed), contents)
+    file = ChunkedFile(source, MCAP, index.table, channels, noticed, check=check)
+    return ChunkedMember(file, contents, summary)
 
 
 def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
@@ -104,22 +144,41 @@ def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None)
         TooCostly: it would have to be read whole, and has more than `most_bytes`.
         SourceError: as `Source.read`.
     """
+    summary = None
     try:
         index = bag_index.read_index(source)
     except NotIndexed as refusal:
         check_cost(source, most_bytes, str(refusal))
         noticed.add(refusal.code, source.name, str(refusal))
-        index = bag_index.rebuild_index(source, noticed)
-    rows = index.table.rows
+        index, summary = bag_index.rebuild_index(source, noticed)
+    rows, check = index.table.rows, None
+    if summary is None:
+        check = IndexCheck(source, index.table, noticed, bag_chunks.read_message_index)
+        if _contradicts_itself(index.table, None):
+            check.doubt()
+            check.settle()
     start_ns = min(rows.column(Row._fields.index("first_ns")), default=None)
     end_ns = max(rows.column(Row._fields.index("last_ns")), default=None)
     contents = Contents(index.channels, index.counts, sum(index.counts.values()), start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, _BAG, index.table, index.channels, noticed), contents)
+    file = ChunkedFile(source, _BAG, index.table, index.channels, noticed, check=check)
+    return ChunkedMember(file, contents, summary)
 
 
-def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> McapIndex:
+def _contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None] | None) -> bool:
+    """Say whether the times of chunks cannot be true. `span`: of all messages, as the statistics say; None: unknown."""
+    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    if any(map(gt, firsts, lasts)):
+        return True
+    if span is None or None in span or not firsts:
+        return False
+    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
+    return span != (min(filled, default=span[0]), max(lasts))
+
+
+def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> tuple[McapIndex, RecordingSummary | None]:
     try:
-        return read_index(source)
+        return read_index(source), None
     except NotIndexed as refusal:
         check_cost(source, most_bytes, str(refusal))
         if refusal.is_problem:
@@ -128,7 +187,7 @@ def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> Mca
 
 
 def _span(index: McapIndex) -> tuple[int | None, int | None]:
-    rows = [row for row in index.table.rows if row.uncompressed_bytes]
+    rows = [row for row in index.table.rows if row.uncompressed_bytes and row.start not in index.unreadable]
     if not rows:
         return None, None
     return min(row.first_ns for row in rows), max(row.last_ns for row in rows)

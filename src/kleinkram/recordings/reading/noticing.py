@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.model import Problem
 
@@ -27,12 +29,16 @@ class Noticed:
         """Note how many messages one iteration has left out, so far, because they came too late to be in order."""
         self._late = max(self._late, messages)
 
-    def all(self) -> tuple[Problem, ...]:
-        """Return the problems in the order in which they were met."""
-        found = tuple(self._problems.values())
+    def all(self, known: Iterable[Problem] = ()) -> tuple[Problem, ...]:
+        """Return the problems in the order in which they were met, behind those that were `known` from elsewhere."""
+        merged: dict[tuple[str, str], Problem] = {}
+        for problem in (*known, *self._problems.values()):
+            merged.setdefault((problem.code, problem.where), problem)
+        found = list(merged.values())
         if self._late:
             message = f"{self._late} messages are left out: earlier than the index says, too late to be put in order"
-            found = (*found, Problem("too-late", "messages", message))
-        if not self._left_out:
-            return found
-        return (*found, Problem("more-problems", "file", f"{self._left_out} more problems are not listed"))
+            found.append(Problem("too-late", "messages", message))
+        if self._left_out:
+            message = f"{self._left_out} more problems are not listed"
+            found.append(Problem("more-problems", "file", message))
+        return tuple(found)

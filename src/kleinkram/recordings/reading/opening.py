@@ -5,25 +5,28 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Protocol, runtime_checkable
 
+from kleinkram.recordings.combining import combine
 from kleinkram.recordings.decompress import open_decompressed
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.forward import SourceForward
 from kleinkram.recordings.grouping import METADATA_NAME, group
-from kleinkram.recordings.model import RecordingFormat
+from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.reading.database_member import DatabaseMember
 from kleinkram.recordings.reading.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.reading.member import Member, check_cost, open_bag, open_mcap
+from kleinkram.recordings.reading.member import ChunkedMember, Member, check_cost, open_bag, open_mcap
 from kleinkram.recordings.reading.noticing import Noticed
 from kleinkram.recordings.reading.recovered_member import open_recovered
 from kleinkram.recordings.rosbag2.comparing import compare_names
+from kleinkram.recordings.rosbag2.folder import combine_folder
 from kleinkram.recordings.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 from kleinkram.recordings.rosbag2.spool import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.sniffing import sniff
 from kleinkram.recordings.sources import FileSource, Source
+from kleinkram.recordings.summary import scan, summarise
 
 
 @runtime_checkable
@@ -40,6 +43,10 @@ class HasSources(Protocol):
 MAX_UNASKED_BYTES = 2**30
 """Bytes of a file without index that are read over a network unless more is allowed."""
 
+MAX_SCANNED_FOR_PROBLEMS = 64 * 2**20
+"""Bytes of a file that `Recording.problems` reads whole where the file's index is enough to read its messages, and not
+to say what is wrong with it."""
+
 _READ_WHOLE = {
     RecordingFormat.rosbag2_db3: "a rosbag2 database (db3) is read from a local copy",
     RecordingFormat.zstd: "it is compressed as a whole",
@@ -47,15 +54,32 @@ _READ_WHOLE = {
 
 _UNREAD = {RecordingFormat.ulog: "ULog of PX4", RecordingFormat.svo2: "SVO2 of a ZED camera"}
 
+_SUMMARY = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
+_USE_INSTEAD = {
+    RecordingFormat.tum: f"a trajectory (TUM), {_SUMMARY} {_TRAJECTORY_FACTS}",
+    RecordingFormat.kitti: f"a trajectory (KITTI), {_SUMMARY} {_TRAJECTORY_FACTS}",
+    RecordingFormat.csv: f"a table (CSV), {_SUMMARY} columns, rows and poses, and `pandas.read_csv` for the rows",
+}
+
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 
 @dataclass(frozen=True)
 class Opened:
-    """The files of a recording. `stack`: what is to be closed with them."""
+    """The files of a recording.
+
+    Attributes:
+        files: names of the data files, in the order of recording.
+        members: the same files.
+        summarise: returns what `klein inspect` says of the recording.
+        stack: what is to be closed with them.
+    """
 
     name: str
+    files: tuple[str, ...]
     members: tuple[Member, ...]
+    summarise: Callable[[], RecordingSummary]
     stack: ExitStack
 
 
@@ -75,33 +99,95 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
         data = [file for file in files if file.base_name != METADATA_NAME]
         if not data:
             raise NotARecording(name, "there is no recording in it")
+        names = tuple(file.base_name for file in data)
         opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes)
         members = tuple(opener.open(file) for file in data)
-        return Opened(name, members, stack.pop_all())
+        return Opened(name, names, members, lambda: opener.summarise(metadata, names), stack.pop_all())
 
 
-@dataclass(frozen=True)
+@dataclass
 class _File:
-    """A file to be opened; `path`: where it stands on this machine."""
+    """A file to be opened.
+
+    Attributes:
+        path: where it stands on this machine.
+        database: where it stands as a database that SQLite reads: the file itself, or a copy that was made to open it.
+        unpacked: what is inside, where the file is compressed as a whole.
+    """
 
     source: Source
     path: Path | None = None
+    database: Path | None = None
+    unpacked: _File | None = None
 
     @property
     def base_name(self) -> str:
         return PurePosixPath(self.source.name).name
 
 
+def _summary_of(file: _File, member: Member) -> RecordingSummary:
+    """Return what is in a file. Where its index is wrong, the member does not believe it any more."""
+    summary = member.summary or _summarise(file)
+    if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
+        member.doubt_index()
+    return summary
+
+
+def _summarise(file: _File) -> RecordingSummary:
+    """Say what is in a file as `klein inspect` does. What was copied to open the file is not fetched again.
+
+    Raises:
+        SourceError: the bytes cannot be read.
+    """
+    inner = file.unpacked
+    if inner is not None:
+        return scan(SourceForward(inner.source, path=inner.path))
+    if file.database is not None:
+        with FileSource(file.database) as source:
+            source.name = file.base_name
+            return summarise(source, most_bytes=None)
+    if file.path is not None:
+        with FileSource(file.path) as source:
+            return summarise(source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+    return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+
+
 @dataclass(frozen=True)
 class _Opener:
-    """Opens files, whatever they are; what must be closed later goes onto the stack."""
+    """Opens files, whatever they are; what must be closed later goes onto the stack.
+
+    Attributes:
+        summaries: of each file that was opened, a function that returns its summary.
+    """
 
     message_compression: str
     noticed: Noticed
     stack: ExitStack
     most_bytes: int | None
+    summaries: list[Callable[[], RecordingSummary]] = field(default_factory=list)
+
+    def summarise(self, metadata: Rosbag2Metadata | None, names: Sequence[str]) -> RecordingSummary:
+        """Return what `klein inspect` says of all files together.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        summaries = [summarise() for summarise in self.summaries]
+        return combine(summaries, names) if metadata is None else combine_folder(metadata, names, summaries)
 
     def open(self, file: _File) -> Member:
+        """Open a file, and note how it is summarised.
+
+        Raises:
+            NotARecording: there are no messages in it that we read.
+            TooCostly: as `open_members`.
+            SourceError: the bytes cannot be read.
+        """
+        member = self._open(file)
+        self.summaries.append(lambda: _summary_of(file, member))
+        return member
+
+    def _open(self, file: _File) -> Member:
         kind, most = sniff(file.source), self._most_bytes(file.source)
         if kind is RecordingFormat.mcap:
             compression = self.message_compression
@@ -113,13 +199,15 @@ class _Opener:
         if kind is RecordingFormat.rosbag2_db3:
             return self._open_database(file)
         if kind is RecordingFormat.zstd:
-            return self.open(self._unpack(file.source))
+            return self._open(self._unpack(file))
         if kind is RecordingFormat.rosbag1_old:
             raise NotARecording(file.source.name, "it is a ROS bag 1.x: convert it with 'rosbag migrate'")
         if kind is RecordingFormat.empty:
             raise NotARecording(file.source.name, "it has 0 bytes")
         if kind in _UNREAD:
             raise NotARecording(file.source.name, f"it is a {_UNREAD[kind]}, and reading that format is not supported")
+        if kind in _USE_INSTEAD:
+            raise NotARecording(file.source.name, f"it is {_USE_INSTEAD[kind]}")
         raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
 
     def _most_bytes(self, source: Source) -> int | None:
@@ -130,7 +218,7 @@ class _Opener:
 
     def _open_database(self, file: _File) -> Member:
         name = file.source.name
-        path = file.path or self._copy(SourceForward(file.source).read, name)
+        path = file.database = file.path or self._copy(SourceForward(file.source).read, name)
         compression = self.message_compression
 
         def recover() -> Member:
@@ -138,8 +226,9 @@ class _Opener:
 
         return DatabaseMember(path, name, self.noticed, recover, message_compression=compression)
 
-    def _unpack(self, source: Source) -> _File:
+    def _unpack(self, file: _File) -> _File:
         """Decompress a file that is compressed as a whole; if that is damaged, up to there."""
+        source = file.source
         content = open_decompressed("zstd", SourceForward(source).read, MAX_SPOOL_BYTES)
 
         def read(most: int) -> bytes:
@@ -154,7 +243,8 @@ class _Opener:
         unpacked.name = PurePosixPath(source.name).stem
         if sniff(unpacked) is RecordingFormat.zstd:
             raise NotARecording(source.name, "it is compressed more than once")
-        return _File(unpacked, path)
+        file.unpacked = _File(unpacked, path)
+        return file.unpacked
 
     def _copy(self, read: Callable[[int], bytes], name: str) -> Path:
         try:

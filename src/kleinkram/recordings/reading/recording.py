@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, decoder_for, to_arrow, to_pandas
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.model import Problem
 from kleinkram.recordings.reading.chunked import MAX_MESSAGE
 from kleinkram.recordings.reading.decoded import decode_blocks
@@ -23,7 +22,7 @@ from kleinkram.recordings.reading.member import Member
 from kleinkram.recordings.reading.merging import Block, merge
 from kleinkram.recordings.reading.model import END_OF_TIME_NS, Channel, Message, RawMessage, Selection, Topic
 from kleinkram.recordings.reading.noticing import Noticed
-from kleinkram.recordings.reading.opening import Openable, open_members
+from kleinkram.recordings.reading.opening import Openable, Opened, open_members
 from kleinkram.recordings.reading.tables import Notice, timed
 from kleinkram.recordings.reading.times import Time, to_ns
 from kleinkram.recordings.reading.topics import list_topics
@@ -42,23 +41,23 @@ class Recording:
 
     Attributes:
         name: of the file or folder.
+        files: names of the data files, in the order of recording.
         topics: by name.
         message_count: None where only reading all of them would tell.
-        start_ns: earliest log time as the files say, inclusive; None without messages.
-        end_ns: latest log time as the files say, inclusive.
     """
 
-    def __init__(self, name: str, members: tuple[Member, ...], stack: ExitStack, noticed: Noticed) -> None:
-        self.name = name
-        self._members = members
-        self._stack = stack
+    def __init__(self, opened: Opened, noticed: Noticed) -> None:
+        self.name, self.files = opened.name, opened.files
+        self._members = opened.members
+        self._stack = opened.stack
+        self._summarise = opened.summarise
+        self._of_summary: tuple[Problem, ...] | None = None
+        self._is_closed = False
         self._noticed = noticed
-        contents = [member.contents for member in members]
+        contents = [member.contents for member in opened.members]
         counts = [content.message_count for content in contents]
         self.topics: tuple[Topic, ...] = list_topics(contents)
         self.message_count = None if None in counts else sum(count for count in counts if count is not None)
-        self.start_ns = min((content.start_ns for content in contents if content.start_ns is not None), default=None)
-        self.end_ns = max((content.end_ns for content in contents if content.end_ns is not None), default=None)
 
     @classmethod
     def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
@@ -82,12 +81,38 @@ class Recording:
         """
         noticed = Noticed()
         opened = open_members(what, noticed, most_bytes=most_bytes)
-        return cls(opened.name, opened.members, opened.stack, noticed)
+        return cls(opened, noticed)
+
+    @property
+    def start_ns(self) -> int | None:
+        """Earliest log time as the files say, inclusive; None without messages."""
+        starts = (member.contents.start_ns for member in self._members)
+        return min((start_ns for start_ns in starts if start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Latest log time as the files say, inclusive; None without messages."""
+        ends = (member.contents.end_ns for member in self._members)
+        return max((end_ns for end_ns in ends if end_ns is not None), default=None)
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What is wrong with the files, as far as they were read: it grows while messages are read."""
-        return self._noticed.all()
+        """What is wrong with the recording: all that `klein inspect` names, and what was met while messages were read.
+
+        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP,
+        index data of a bag, all rows of a database. Once closed, a recording that was not opened by path names only
+        what is known by then.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        if self._of_summary is None:
+            try:
+                self._of_summary = self._summarise().problems
+            except SourceError:
+                if not self._is_closed:
+                    raise
+        return self._noticed.all(self._of_summary or ())
 
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
@@ -183,6 +208,7 @@ class Recording:
 
     def close(self) -> None:
         """Close the files that were opened by path; a second call does nothing."""
+        self._is_closed = True
         self._stack.close()
 
     def __enter__(self) -> Recording:
@@ -200,7 +226,7 @@ class Recording:
         schema = topic.schema
         selection = Selection(frozenset((name,)), *_span(start, end))
         decoder = decoder_for(topic.message_encoding, schema.name, schema.encoding, schema.data)
-        return decoder, timed(self._blocks(selection), schema, self._noticed)
+        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._noticed)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:

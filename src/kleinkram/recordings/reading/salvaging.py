@@ -93,7 +93,8 @@ def salvage_mcap(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Cha
     part, table = Part(source, MCAP_MAGIC, gaps), ChunkTable()
     gathering = _Gathering(table, Noticed())
     known = {number: McapChannel(0, channel.topic, channel.message_encoding) for number, channel in channels.items()}
-    gathering.finish(scan_records(SourceForward(part), gathering, known).losses)
+    scan_records(SourceForward(part), gathering, known)
+    gathering.close()
     return Saved(part, table)
 
 
@@ -105,7 +106,8 @@ def salvage_bag(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Chan
     """
     part, table = Part(source, BAG_MAGIC, gaps), ChunkTable()
     gathering = _Gathering(table, Noticed())
-    gathering.finish(scan_bag_records(SourceForward(part), gathering).losses)
+    scan_bag_records(SourceForward(part), gathering)
+    gathering.close()
     return Saved(part, table)
 
 

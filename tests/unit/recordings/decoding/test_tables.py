@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -11,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings.decoding import (
-    DecodeError,
     Decoder,
     NoSuchField,
     Undecodable,
@@ -22,6 +23,7 @@ from kleinkram.recordings.decoding import (
     to_pandas,
     to_plain,
 )
+from kleinkram.recordings.reading.recording import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\
@@ -199,10 +201,83 @@ def test_json_tables() -> None:
     assert to_arrow(found, messages, fields=["p.x"]).column_names[2:] == ["p.x"]
     with pytest.raises(NoSuchField):
         to_arrow(found, messages, fields=["q"])
-    with pytest.raises(DecodeError, match="differ too much"):
-        to_arrow(found, [(0, 0, b'{"a": 1}'), (1, 1, b'{"a": "x"}')])
     doubled = to_arrow(found, [(0, 0, b'{"a.b": 1, "a": {"b": 2}, "log_time_ns": 3}')])
     assert doubled.column_names == ["log_time_ns", "publish_time_ns", "a.b", "a.b_", "log_time_ns_"]
-    for wrong in (b'{"a": "\\ud800"}', b'{"a": 99999999999999999999999}'):
-        with pytest.raises(DecodeError):
-            to_arrow(found, [(0, 0, wrong)])
+
+
+@pytest.mark.parametrize(
+    ("odd", "fine", "column"),
+    [
+        ("18446744073709551615", ["-1", "3"], [-1, 3, None]),
+        ("1e400", ["1", "2.5"], [1, 2.5, float("inf")]),
+        (str(2**70), ["1", "2"], [1, 2, None]),
+        ('"text"', ["1", "2"], [1, 2, None]),
+        ("true", ["1", "2"], [1, 2, None]),
+        ("[1]", ["1", "2"], [1, 2, None]),
+        ('{"b": 1}', ["1", "2"], [1, 2, None]),
+        (r'"\ud800"', ['"a"', '"b"'], ["a", "b", None]),
+        ('[1, "x"]', ["[1]", "[2]"], [[1], [2], [1, None]]),
+        ('{"c": "x"}', ['{"c": 1}', '{"c": 2}'], None),
+        (str(2**63 + 5), ["1", "2"], [1, 2, 2**63 + 5]),
+    ],
+)
+def test_one_odd_json_value_is_null_and_named(odd: str, fine: list[str], column: list[object] | None) -> None:
+    found = decoder_for("json", "Mouse", "jsonschema", b"")
+    assert isinstance(found, Decoder)
+    noticed: dict[int, str] = {}
+    texts = [*fine, odd]
+    messages = [(n, n, f'{{"a": {text}, "s": 0.5}}'.encode()) for n, text in enumerate(texts)]
+    table = to_arrow(found, messages, notice=lambda time, error: noticed.update({time: str(error)}))
+    assert table["s"].to_pylist() == [0.5] * 3
+    if column is None:
+        assert table["a.c"].to_pylist() == [1, 2, None]
+    else:
+        assert table["a"].to_pylist() == column
+    is_null = column is None or column[-1] is None or column[-1] == [1, None]
+    assert [*noticed] == ([2] if is_null else [])
+    assert not is_null or "'a" in noticed[2]
+
+
+def test_json_that_changes_its_types_between_batches_is_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "BATCH_MESSAGES", 2)
+    found = decoder_for("json", "Mouse", "jsonschema", b"")
+    assert isinstance(found, Decoder)
+    noticed: list[str] = []
+    texts = ["1", "2", '"x"', '"y"', "5", "6"]
+    messages = [(n, n, f'{{"a": {text}}}'.encode()) for n, text in enumerate(texts)]
+    table = to_arrow(found, messages, notice=lambda _, error: noticed.append(str(error)))
+    assert table["a"].to_pylist() == [1, 2, None, None, 5, 6]
+    assert len(noticed) == 1
+
+
+def test_a_json_id_beyond_int64_does_not_cost_the_table(make_case: Callable[[str], Path]) -> None:
+    with Recording.open(next(make_case("14A").glob("**/*.mcap"))) as recording:
+        assert recording.to_arrow("/detections")["id"].to_pylist() == [1, 2**63 + 5, 3]
+
+
+def test_definitions_that_differ_in_comments_are_one_table(make_case: Callable[[str], Path]) -> None:
+    with Recording.open(next(make_case("10A").glob("**/*.mcap"))) as recording:
+        assert recording.to_arrow("/t")["x"].to_pylist() == [*range(12)]
+        assert recording.problems == ()
+
+
+def test_a_layout_depends_on_fields_only() -> None:
+    rule = "=" * 80
+    texts = [
+        f"A a\nB b\n{rule}\nMSG: p/A\nint32 x\n{rule}\nMSG: p/B\nint8 y\n",
+        f"# of it\n  p/A  a # first\nB b\n\n{rule}\nMSG: p/B\nint8 y\n{rule}\nMSG: p/A\nint32 x\n",
+        f"A a\nB b\n{rule}\nMSG: p/A\nint64 x\n{rule}\nMSG: p/B\nint8 y\n",
+    ]
+    one, same, other = (decoder_for("cdr", "p/msg/T", "ros2msg", text.encode()) for text in texts)
+    assert isinstance(one, Decoder)
+    assert isinstance(same, Decoder)
+    assert isinstance(other, Decoder)
+    assert one.layout == same.layout != other.layout
+
+
+def test_a_bag_without_definitions_says_that_they_are_missing(make_case: Callable[[str], Path]) -> None:
+    with Recording.open(next(make_case("09A").glob("**/*.bag"))) as recording:
+        reasons = {topic.name: topic.undecodable for topic in recording.topics}
+        assert reasons.pop("/e") is None
+        assert all(reason and "definition is missing" in reason for reason in reasons.values())
+        assert recording.to_arrow("/n")["data"].to_pylist() == [b"\x07\0\0\0"]

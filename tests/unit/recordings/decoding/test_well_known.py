@@ -1,4 +1,4 @@
-"""The definitions that we bring along are those of ROS 2 Humble, and only stand in where a recording has none."""
+"""The definitions that we bring along are those of ROS 2, and only stand in where a recording has none."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for, to_plain
+from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for, to_arrow, to_plain
 from kleinkram.recordings.decoding.schema import Array, Primitive, Struct, Type
-from kleinkram.recordings.decoding.well_known import NAMES
+from kleinkram.recordings.decoding.well_known import known_definitions
 
-HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
-
-
-def by_theirs(name: str) -> list[tuple[str, Any]]:
-    return [(field, _theirs(kind)) for field, kind in HUMBLE.get_msgdef(name).fields]
+RELEASES = [get_typestore(Stores[f"ROS2_{name}"]) for name in ("HUMBLE", "JAZZY", "IRON", "KILTED", "LYRICAL")]
+TYPES = sorted({name for store in RELEASES for name in store.fielddefs})
+LITTLE = b"\0\1\0\0"
 
 
-def _theirs(kind: Any) -> Any:
+def by_theirs(store: Any, name: str) -> list[tuple[str, Any]]:
+    return [(field, _theirs(store, kind)) for field, kind in store.fielddefs[name][1]]
+
+
+def _theirs(store: Any, kind: Any) -> Any:
     node, content = kind
     if node == Nodetype.BASE:
         return {"byte": "uint8", "octet": "uint8", "char": "uint8"}.get(content[0], content[0])
     if node == Nodetype.NAME:
-        return by_theirs(content)
-    return [_theirs(content[0]), content[1] if node == Nodetype.ARRAY else None]
+        return by_theirs(store, content)
+    return [_theirs(store, content[0]), content[1] if node == Nodetype.ARRAY else None]
 
 
 def by_ours(kind: Type) -> Any:
@@ -42,13 +44,49 @@ def by_ours(kind: Type) -> Any:
     return fields or [("structure_needs_at_least_one_member", "uint8")]
 
 
-@pytest.mark.parametrize("name", sorted(NAMES))
-def test_it_is_the_definition_of_humble(name: str) -> None:
-    full_name = name.replace("/", "/msg/")
-    found = decoder_for("cdr", full_name, "", b"")
-    assert isinstance(found, Decoder)
+@pytest.mark.parametrize("name", TYPES)
+def test_every_type_of_ros2_is_known_as_in_humble(name: str) -> None:
+    store = next(store for store in RELEASES if name in store.fielddefs)
+    found = decoder_for("cdr", name, "", b"")
+    assert isinstance(found, Decoder), found
     assert found.struct is not None
-    assert by_ours(found.struct) == by_theirs(full_name)
+    assert by_ours(found.struct) == by_theirs(store, name)
+    constants = {key: value for key, _, value in store.fielddefs[name][0]}
+    assert dict(found.struct.constants) == constants
+
+
+def test_there_are_packages_of_all_common_interfaces() -> None:
+    packages = {name.partition("/")[0].removesuffix("_msgs") for name in known_definitions()}
+    wanted = "sensor geometry nav visualization trajectory shape stereo action diagnostic lifecycle rosbag2_interfaces"
+    assert packages >= {*wanted.split()}
+
+
+@pytest.mark.parametrize("store", RELEASES[1:], ids=["jazzy", "iron", "kilted", "lyrical"])
+@pytest.mark.parametrize("name", ["sensor_msgs/msg/Range", "rosbag2_interfaces/msg/WriteSplitEvent"])
+def test_messages_of_later_releases_are_decoded_by_their_definition(store: Any, name: str) -> None:
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 2), "a")
+    fields = {"header": header, "closed_file": "a", "opened_file": "bc", "node_name": "n"}
+    names = [field for field, _ in store.fielddefs[name][1]]
+    message = store.types[name](**{field: fields.get(field, 7) for field in names})
+    data = bytes(store.serialize_cdr(message, name))
+    found = decoder_for("cdr", name, "", b"")
+    assert isinstance(found, Decoder)
+    value = to_plain(found.decode(data))
+    assert {key: part for key, part in value.items() if key != "header"} == {
+        key: fields.get(key, 7) for key in names if key != "header"
+    }
+    noticed: list[DecodeError] = []
+    table = to_arrow(found, [(time, time, data) for time in range(40)], notice=lambda _, error: noticed.append(error))
+    assert not noticed
+    column = "max_range" if name.endswith("Range") else "opened_file"
+    assert table[column].to_pylist() == [fields.get(column, 7)] * 40
+
+
+def test_a_message_that_no_release_explains_is_an_error() -> None:
+    found = decoder_for("cdr", "sensor_msgs/msg/Range", "", b"")
+    assert isinstance(found, Decoder)
+    with pytest.raises(DecodeError, match="left over"):
+        found.decode(LITTLE + bytes(100))
 
 
 def test_a_recordings_own_definition_goes_first() -> None:
@@ -60,12 +98,23 @@ def test_a_recordings_own_definition_goes_first() -> None:
     assert "holds no definition" in unknown.reason
 
 
-def test_an_empty_definition_explains_only_empty_messages() -> None:
-    found = decoder_for("cdr", "vicon_receiver/msg/Position", "ros2msg", b"")
-    assert isinstance(found, Decoder)
-    assert to_plain(found.decode(b"\0\1\0\0\0\0\0\0")) == {}
-    with pytest.raises(DecodeError, match="no such message"):
-        found.decode(b"\0\1\0\0" + bytes(24))
+@pytest.mark.parametrize(("message", "schema"), [("cdr", "ros2msg"), ("ros1", "ros1msg"), ("cdr", "ros2idl")])
+def test_an_empty_definition_is_a_missing_one(message: str, schema: str) -> None:
+    for text in (b"", b"\n \n"):
+        found = decoder_for(message, "vicon_receiver/msg/Position", schema, text)
+        assert isinstance(found, Undecodable)
+        assert "definition" in found.reason
+
+
+def test_types_without_fields_have_an_empty_definition() -> None:
+    ros2 = decoder_for("cdr", "std_msgs/msg/Empty", "ros2msg", b"")
+    assert isinstance(ros2, Decoder)
+    assert to_plain(ros2.decode(LITTLE + b"\0\0\0\0")) == {}
+    with pytest.raises(DecodeError, match="left over"):
+        ros2.decode(LITTLE + bytes(24))
+    ros1 = decoder_for("ros1", "std_msgs/Empty", "ros1msg", b"")
+    assert isinstance(ros1, Decoder)
+    assert to_plain(ros1.decode(b"")) == {}
 
 
 def test_a_database_without_definitions_is_decoded(recordings_dir: Path) -> None:
