@@ -29,13 +29,18 @@ def asker(peer: str, forwarded: Sequence[str], trusted: Sequence[Network]) -> st
     return str(heard)
 
 
+def is_trusted(peer: str, trusted: Sequence[Network]) -> bool:
+    """Say whether what connects from an address is one of our own proxies."""
+    address = parse_address(peer)
+    return address is not None and any(address in network for network in trusted)
+
+
 def set_asker(scope: Scope, headers: Sequence[tuple[bytes, bytes]], trusted: Sequence[Network]) -> None:
     """Write into an ASGI scope from where the request comes, and by which scheme it came to the nearest proxy."""
     client = scope.get("client")
     if client is None:
         return
-    peer = parse_address(client[0])
-    is_proxy = peer is not None and any(peer in network for network in trusted)
+    is_proxy = is_trusted(client[0], trusted)
     scope["client"] = (asker(client[0], _listed(headers, b"x-forwarded-for") if is_proxy else [], trusted), client[1])
     schemes = _listed(headers, b"x-forwarded-proto") if is_proxy else []
     if schemes and schemes[-1].lower() in {"http", "https"}:

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 
 import uvicorn
 from fastapi import FastAPI
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from kleinkram.server.proxies import Network, parse_address
@@ -44,6 +45,30 @@ _REFUSALS = {
     431: b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
     _NO_ROOM: b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
 }
+_NOT_STARTED = "lifespan.startup.failed"
+
+
+class _ShortFailure:
+    """An app of whose failure to start the last line is told, a sentence, in place of a traceback."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on everything else."""
+
+        async def send_short(message: Message) -> None:
+            if message["type"] == _NOT_STARTED:
+                message["message"] = _sentence(message["message"])
+            await send(message)
+
+        await self._app(scope, receive, send_short if scope["type"] == "lifespan" else send)
+
+
+def _sentence(traceback: str) -> str:
+    """Return the sentence at a traceback's end where it is one of ours, else all of it: a fault to be looked into."""
+    kind, _, sentence = traceback.strip().splitlines()[-1].partition(": ")
+    return f"not started: {sentence}" if kind.startswith("kleinkram.") else traceback
 
 
 class ApiServer(uvicorn.Server):
@@ -57,6 +82,7 @@ class ApiServer(uvicorn.Server):
             unlimited=settings.trusted_proxies,
         )
         config.http = type("LimitedHttp", (LimitedHttp,), {"open_connections": connections})
+        config.app = _ShortFailure(app)
         super().__init__(config)
         self._app = app
 

@@ -28,7 +28,7 @@ class TooManyStreams(KleinkramError):
 
 @dataclass(eq=False)
 class StoreUnavailable(KleinkramError):
-    """The object store does not answer ({reason}). Nothing was lost; try again in a moment."""
+    """The object store cannot be used ({reason}). Nothing was lost; try again in a moment."""
 
     code = ErrorCode.store_unavailable
     status = 503
