@@ -62,7 +62,7 @@ def told() -> dict[str, Any]:
 def settle() -> None:
     """Wait until no job waits or runs, so that nothing runs beside a measurement."""
     while True:
-        with urllib.request.urlopen(f"{told()['url']}/metrics", timeout=60) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{told()['ports']['api_metrics']}/metrics", timeout=60) as answer:
             lines = answer.read().decode().splitlines()
         busy = [
             line for line in lines if line.startswith("kleinkram_jobs{") and ('"todo"' in line or '"doing"' in line)

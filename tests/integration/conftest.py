@@ -52,6 +52,7 @@ def starting(
                     **dict.fromkeys(_LIMITS, 0),
                     # Many have blobs that no store has.
                     "scrub_hours": 0,
+                    "metrics_port": 0,
                     **settings,
                 }
                 folder: Path = tmp_path_factory.mktemp("api")

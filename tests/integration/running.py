@@ -128,7 +128,7 @@ class Api:
 
     def metrics(self) -> str:
         """Return what Prometheus would read."""
-        return self._pool.request("GET", f"{self.url}/metrics").data.decode()
+        return self._pool.request("GET", f"http://127.0.0.1:{self.app.state.metrics_port}/metrics").data.decode()
 
     def events(self, noun_id: str) -> list[Any]:
         """Return what the record says of a noun, latest first."""

@@ -2,7 +2,11 @@
 
 import asyncio
 import http.server
+import json
+import os
 import ssl
+import subprocess
+import sys
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from pydantic import SecretStr
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.s3 import Question, S3Error, open_s3
@@ -18,6 +23,7 @@ from kleinkram.server.signing import Presigner
 from kleinkram.server.storage import Storage, open_storage
 from tests.certificate import make_certificate
 from tests.integration.running import Api
+from tests.ports import choose_port
 from tests.serving import Server
 
 
@@ -192,3 +198,41 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(tmp_path: Path) -> Non
         assert seen == []
         told = settings.model_copy(update={"s3_ca_file": certificate[0]})
         assert _ask(told, Question("POST", "a", {"uploads": ""})) == "7"
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"s3_bucket": "nowhere"}, "there is no bucket 'nowhere': create it, or correct KLEINKRAM_S3_BUCKET"),
+        ({"s3_access_key": "nobody"}, "it does not know the access key: correct KLEINKRAM_S3_ACCESS_KEY"),
+        ({"s3_secret_key": SecretStr("x")}, "the secret key does not fit the access key: correct KLEINKRAM_S3_SECRET"),
+    ],
+)
+def test_a_wrong_bucket_or_key_is_named(api: Api, changed: dict[str, object], sentence: str) -> None:
+    settings = api.app.state.settings.model_copy(update=changed)
+
+    async def check() -> None:
+        async with open_storage(settings) as storage:
+            await storage.check()
+
+    with pytest.raises(StoreUnavailable) as raised:
+        asyncio.run(check())
+    assert sentence in str(raised.value)
+    assert "does not answer" not in str(raised.value)
+
+
+def test_an_api_that_cannot_start_says_why_in_one_line(api: Api) -> None:
+    settings = api.app.state.settings
+    environment = {
+        "KLEINKRAM_DATABASE_URL": str(settings.database_url),
+        "KLEINKRAM_S3_INTERNAL_URL": settings.s3_internal_url,
+        "KLEINKRAM_S3_BUCKET": "nowhere",
+        "KLEINKRAM_S3_ACCESS_KEY": settings.s3_access_key,
+        "KLEINKRAM_S3_SECRET_KEY": settings.s3_secret_key.get_secret_value(),
+    }
+    command = [sys.executable, "-m", "kleinkram.server", "api", "--port", str(choose_port())]
+    ran = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
+    assert ran.returncode == 3
+    lines = [json.loads(line) for line in ran.stderr.splitlines()]
+    assert any("not started: " in line["message"] and "there is no bucket" in line["message"] for line in lines)
+    assert "Traceback" not in ran.stderr

@@ -43,7 +43,7 @@ def storage(as_json: AsJson = False) -> None:
 
 @app.command("jobs")
 def jobs(as_json: AsJson = False) -> None:
-    """Show the queue, and the jobs that were given up, each with why."""
+    """Show the queue, the jobs that wait for another attempt, and those that were given up, each with why."""
     with connect() as client:
         told = client.admin.jobs()
     if as_json:
@@ -53,24 +53,37 @@ def jobs(as_json: AsJson = False) -> None:
         note("Nothing waits, and nothing has failed.")
         return
     table(["job", "state", "count", "oldest"], [(row.kind, row.state, row.count, row.oldest_at) for row in told.queue])
+    if told.retrying:
+        note("")
+        table(
+            ["id", "job", "for", "tries", "next try", "why the last one failed"],
+            [(row.id, row.kind, row.ref, row.attempts, row.next_attempt_at, row.error) for row in told.retrying],
+        )
     if told.failed:
         note("")
         table(
             ["id", "job", "for", "tries", "given up", "why"],
             [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in told.failed],
         )
-        note("`klein admin retry ID` puts one back into the queue.")
+        note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")
 
 
 @app.command("retry")
 def retry(
     job: Annotated[
-        int, typer.Argument(metavar="ID", min=1, show_default=False, help="As `klein admin jobs` shows it.")
-    ],
+        int | None, typer.Argument(metavar="[ID]", min=1, show_default=False, help="As `klein admin jobs` shows it.")
+    ] = None,
+    retry_all: Annotated[bool, typer.Option("--all", help="All jobs that were given up.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Put a job that was given up back into the queue."""
+    """Put a job that was given up, or all of them, back into the queue."""
+    if (job is None) != retry_all:
+        raise typer.BadParameter("give the id of one job, or --all", param_hint="ID")
     with connect() as client:
+        if job is None:
+            count = client.admin.retry_jobs()
+            show_json({"retried": count}) if as_json else note(f"{count} jobs are in the queue again.")
+            return
         client.admin.retry_job(job)
     if as_json:
         show_json({"retried": job})
@@ -108,11 +121,12 @@ def health(as_json: AsJson = False) -> None:
     details(
         [
             ("ready", told.not_ready or "yes"),
+            *(("warning", each) for each in told.warnings),
             ("version", told.version),
             ("tables", told.schema_version),
             ("database", f"PostgreSQL {told.database_version}, {size(told.database_bytes)}"),
-            ("workers", len(told.workers_at) or "none is heard of: nothing is read, proven or swept"),
-            ("heard of", ", ".join(moment(at) for at in told.workers_at)),
+            ("workers", f"{len(told.workers_at)} processes" if len(told.workers_at) != 1 else "1 process"),
+            ("heard of", moment(told.worker_last_at) if told.worker_last_at else "never"),
             ("store", f"proves by {told.store_checksum}"),
             ("overwrites", "the store refuses them" if told.store_writes_once else "the store takes them"),
             ("pages", "may send to the store" if told.store_takes_pages else "may not send to the store"),

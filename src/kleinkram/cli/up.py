@@ -103,6 +103,12 @@ def doctor(
     from kleinkram.standalone.doctor import examine
 
     findings = examine(resolve_data_dir(data_dir))
+    if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
+        typer.echo(
+            "The environment has the settings of a server of its own, which this command does not look at: "
+            "run `python -m kleinkram.server check`.",
+            err=True,
+        )
     if as_json:
         told = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
         typer.echo(json.dumps({"ok": all(it.ok for it in findings), "checks": told}, indent=2))

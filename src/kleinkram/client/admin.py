@@ -10,6 +10,7 @@ from kleinkram.contract.admin import (
     AdminJobs,
     AdminSettings,
     AdminStorage,
+    RetriedJobs,
     ScrubRead,
     ScrubRequest,
     ScrubState,
@@ -29,7 +30,7 @@ class Admin:
         return self._api.get("/admin/storage", AdminStorage)
 
     def jobs(self) -> AdminJobs:
-        """Return the queue, and the jobs that were given up."""
+        """Return the queue, the jobs that wait for another attempt, and those that were given up."""
         return self._api.get("/admin/jobs", AdminJobs)
 
     def retry_job(self, job_id: int) -> None:
@@ -39,6 +40,10 @@ class Admin:
             NotFound: there is no such job, or it was not given up.
         """
         self._api.post_empty(f"/admin/jobs/{job_id}/retry")
+
+    def retry_jobs(self) -> int:
+        """Put all jobs that were given up back into the queue, and return how many."""
+        return self._api.send("POST", "/admin/jobs/retry", RetriedJobs).count
 
     def scrub(self) -> ScrubState:
         """Return what the last comparison of the store with the database found, or has found so far."""

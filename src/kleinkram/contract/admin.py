@@ -57,17 +57,43 @@ class FailedJob(_Told):
     error: str | None
 
 
+class RetryingJob(_Told):
+    """A job that failed and waits for another attempt. `error` says why the last one failed."""
+
+    id: int
+    kind: str
+    ref: str | None
+    attempts: int
+    next_attempt_at: datetime.datetime | None
+    error: str | None
+
+
 class AdminJobs(_Told):
-    """The queue, and the jobs that were given up last, at most 100; each is forgotten after a week."""
+    """The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
+
+    A job that was given up is forgotten after a week.
+    """
 
     queue: list[JobAmount]
     failed: list[FailedJob]
+    retrying: list[RetryingJob]
+
+
+class RetriedJobs(_Told):
+    """How many jobs that were given up are in the queue again."""
+
+    count: int
 
 
 class AdminHealth(_Told):
-    """How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of."""
+    """How the server is.
+
+    `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
+    when each worker process that is alive was last heard of; `worker_last_at`: when any was.
+    """
 
     not_ready: str | None
+    warnings: list[str]
     version: str
     schema_version: str
     database_version: str
@@ -75,6 +101,7 @@ class AdminHealth(_Told):
     now: datetime.datetime
     clock_skew_s: float
     workers_at: list[datetime.datetime]
+    worker_last_at: datetime.datetime | None
     store_checksum: str
     store_writes_once: bool
     store_takes_pages: bool

@@ -1,14 +1,17 @@
-"""`python -m kleinkram.server migrate | api | worker`: the server's processes."""
+"""`python -m kleinkram.server check | migrate | api | worker`: the server's processes."""
 
 import argparse
 import asyncio
 import contextlib
 import gc
+import logging
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
+from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
 
@@ -22,7 +25,14 @@ _LOOKS_FOR_CYCLES_EVERY = 10_000
 def main() -> None:
     """Run one of the server's processes until it is told to stop."""
     arguments = _parser().parse_args()
-    settings = Settings()  # read from the environment
+    if arguments.command == "check":
+        _check(as_json=arguments.as_json)
+    try:
+        settings = load_settings()
+    except SettingsInvalid as error:
+        sys.exit(str(error))
+    if getattr(arguments, "metrics_port", None) is not None:
+        settings = settings.model_copy(update={"metrics_port": arguments.metrics_port})
     set_up_logs(settings.log_format)
     if arguments.command == "migrate":
         _migrate(settings)
@@ -36,33 +46,48 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m kleinkram.server", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("migrate", help="bring the database schema to this version")
-    commands.add_parser("worker", help="run background jobs")
+    check = commands.add_parser("check", help="say what is wrong with settings, database, store and this machine")
+    check.add_argument("--json", action="store_true", dest="as_json")
+    worker = commands.add_parser("worker", help="run background jobs")
     api = commands.add_parser("api", help="serve the API")
     api.add_argument("--host", default="127.0.0.1")
     api.add_argument("--port", type=int, default=8000)
     api.add_argument("--tls-cert", type=Path)
     api.add_argument("--tls-key", type=Path)
+    for command in (api, worker):
+        command.add_argument("--metrics-port", type=int, help="instead of KLEINKRAM_METRICS_PORT")
     api.add_argument("--when-told", action="store_true", help="load, then wait for a line on stdin before serving")
     return parser
 
 
 def _migrate(settings: Settings) -> None:
-    from kleinkram.server.migrations.upgrading import MigrationBlocked, migrate
+    from kleinkram.server.migrations.upgrading import MigrationBlocked, SchemaTooNew, migrate
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
     try:
         migrate(url, settings.serving_role)
-    except MigrationBlocked as blocked:
-        sys.exit(str(blocked))
+    except (MigrationBlocked, SchemaTooNew) as error:
+        sys.exit(str(error))
+
+
+def _check(*, as_json: bool) -> NoReturn:
+    from kleinkram.server.checks import main as check
+
+    sys.exit(check(as_json=as_json))
 
 
 def _work(settings: Settings) -> None:
     with _loading():
         from kleinkram.server.jobs.worker import run_worker
+        from kleinkram.server.metrics_port import MetricsPortUnusable
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
     os.nice(_NICENESS)
-    asyncio.run(run_worker(settings))
+    try:
+        asyncio.run(run_worker(settings))
+    except MetricsPortUnusable as error:
+        logging.getLogger("kleinkram").critical(str(error))
+        sys.exit(_NOT_STARTED)
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:

@@ -37,6 +37,7 @@ from kleinkram.server.health.routes import router as service
 from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http import Envelope, install_handlers
 from kleinkram.server.jobs.queue import queue
+from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
@@ -110,6 +111,7 @@ def create_app(settings: Settings) -> FastAPI:
                 open_storage(settings) as store,
                 open_providers(settings) as providers,
                 open_hub(settings) as app.state.hub,
+                serve_metrics(settings, database) as app.state.metrics_port,
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:

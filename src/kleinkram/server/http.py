@@ -69,6 +69,7 @@ class Envelope:
         given = headers.get(b"x-request-id", b"")
         request_id = given.decode() if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = request_id
+        scope["state"]["peer"] = scope["client"][0] if scope.get("client") else ""
         set_asker(scope, scope["headers"], self._trusted)
         note_arrival()
         started = time.perf_counter()
@@ -118,7 +119,7 @@ class Envelope:
         measures.REQUESTS.labels(scope["method"], path, str(status)).inc()
         if "is_stream" not in scope["state"]:
             measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
-        if path.startswith(("/health", "/metrics")) and status < 500:
+        if path.startswith("/health") and status < 500:
             return
         shown = _shown(scope["path"])
         fields = {"method": scope["method"], "path": shown, "status": status, "request_id": request_id}

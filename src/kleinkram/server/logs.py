@@ -4,6 +4,8 @@ import datetime
 import json
 import logging
 import sys
+import threading
+import types
 from typing import Literal
 
 
@@ -16,7 +18,8 @@ class JsonLines(logging.Formatter):
         line: dict[str, object] = {
             "at": at.isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
-            "logger": record.name,
+            # uvicorn's logger of ordinary lines is called `uvicorn.error`.
+            "logger": "uvicorn" if record.name == "uvicorn.error" else record.name,
             "message": record.getMessage(),
             **getattr(record, "fields", {}),
         }
@@ -39,7 +42,18 @@ def set_up_logs(log_format: Literal["json", "text"]) -> None:
         JsonLines() if log_format == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    logging.captureWarnings(True)
+    sys.excepthook = _log_crash
+    threading.excepthook = lambda ended: _log_crash(ended.exc_type, ended.exc_value, ended.exc_traceback)
     quiet_libraries()
+
+
+def _log_crash(kind: type[BaseException], error: BaseException | None, traceback: types.TracebackType | None) -> None:
+    """Write what ends the process, or a thread, as a log line like all others."""
+    if error is not None and not isinstance(error, KeyboardInterrupt):
+        logging.getLogger("kleinkram").critical(
+            f"ended by an error: {kind.__name__}: {error}", exc_info=(kind, error, traceback)
+        )
 
 
 def quiet_libraries() -> None:

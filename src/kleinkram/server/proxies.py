@@ -16,17 +16,23 @@ def asker(peer: str, forwarded: Sequence[str], trusted: Sequence[Network]) -> st
     an untrusted one said may be invented. So it is read from the right, as far as trust reaches; what is no address
     ends it.
     """
-    heard = _parse(peer)
+    heard = parse_address(peer)
     if heard is None:
         return peer
     for claim in reversed(forwarded):
         if not any(heard in network for network in trusted):
             break
-        said = _parse(claim)
+        said = parse_address(claim)
         if said is None:
             break
         heard = said
     return str(heard)
+
+
+def is_trusted(peer: str, trusted: Sequence[Network]) -> bool:
+    """Say whether what connects from an address is one of our own proxies."""
+    address = parse_address(peer)
+    return address is not None and any(address in network for network in trusted)
 
 
 def set_asker(scope: Scope, headers: Sequence[tuple[bytes, bytes]], trusted: Sequence[Network]) -> None:
@@ -34,8 +40,7 @@ def set_asker(scope: Scope, headers: Sequence[tuple[bytes, bytes]], trusted: Seq
     client = scope.get("client")
     if client is None:
         return
-    peer = _parse(client[0])
-    is_proxy = peer is not None and any(peer in network for network in trusted)
+    is_proxy = is_trusted(client[0], trusted)
     scope["client"] = (asker(client[0], _listed(headers, b"x-forwarded-for") if is_proxy else [], trusted), client[1])
     schemes = _listed(headers, b"x-forwarded-proto") if is_proxy else []
     if schemes and schemes[-1].lower() in {"http", "https"}:
@@ -47,7 +52,8 @@ def _listed(headers: Sequence[tuple[bytes, bytes]], name: bytes) -> list[str]:
     return [part.strip() for value in values for part in value.split(",")]
 
 
-def _parse(text: str) -> Address | None:
+def parse_address(text: str) -> Address | None:
+    """Return an address, an IPv4 one that is mapped into IPv6 as itself; None where it is none."""
     try:
         found = ipaddress.ip_address(text.strip("[]"))
     except ValueError:

@@ -100,13 +100,13 @@ class S3:
                 raise S3Error(response.status, "NoStoresAnswer", "what answers at the store's address is no S3 store")
             return Answer({name.lower(): value for name, value in response.headers.items()}, xml)
 
-    async def stream(self, question: Question) -> AsyncGenerator[bytes, None]:
-        """Yield the answer's body in pieces of at most 1 MiB; it ends early only by raising.
+    async def stream(self, question: Question, *, attempts: int = _ATTEMPTS) -> AsyncGenerator[bytes, None]:
+        """Yield the answer's body in pieces of at most 1 MiB; it ends early only by raising. Opened in so many tries.
 
         Raises:
             S3Error, aiohttp.ClientError, asyncio.TimeoutError, OSError: as `ask`; the last three also midway.
         """
-        async with self._opened(question) as response:
+        async with self._opened(question, attempts) as response:
             while piece := await response.content.read(READ_BYTES):
                 yield piece
 
@@ -136,19 +136,19 @@ class S3:
             return response.status < 300 and allowed and bool(methods & {method, "*"})
 
     @asynccontextmanager
-    async def _opened(self, question: Question) -> AsyncIterator[aiohttp.ClientResponse]:
-        for attempt in range(1, _ATTEMPTS + 1):
+    async def _opened(self, question: Question, attempts: int = _ATTEMPTS) -> AsyncIterator[aiohttp.ClientResponse]:
+        for attempt in range(1, attempts + 1):
             try:
                 response = await self._send(question)
             except LOST:
-                if attempt == _ATTEMPTS:
+                if attempt == attempts:
                     raise
             else:
                 is_other_time = self._signer.clock.hear(response.headers.get("Date"))
-                if is_other_time and response.status == _FORBIDDEN and attempt < _ATTEMPTS:
+                if is_other_time and response.status == _FORBIDDEN and attempt < attempts:
                     response.close()
                     continue  # signed for the wrong time
-                if response.status not in _PASSING or attempt == _ATTEMPTS:
+                if response.status not in _PASSING or attempt == attempts:
                     break
                 response.close()
             await asyncio.sleep(_FIRST_PAUSE_S * 2 ** (attempt - 1) * random.uniform(0.5, 1.5))  # noqa: S311  (spreads load, hides nothing)

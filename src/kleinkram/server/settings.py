@@ -1,12 +1,24 @@
-"""Settings, read once from the environment when a process starts. Every one is described in the settings reference."""
+"""Settings of the server's processes. Every one is described in the settings reference.
+
+`environment.load_settings` reads them from the environment, once, when a process starts.
+"""
 
 import enum
 import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PostgresDsn, SecretStr, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PostgresDsn,
+    SecretStr,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from kleinkram.contract.emails import EmailDomain
@@ -104,10 +116,23 @@ class Settings(BaseSettings):
         PostgresDsn | None,
         Field(repr=False, description="PostgreSQL as the role that owns the schema; only `migrate` needs it."),
     ] = None
+    database_password: Annotated[
+        SecretStr | None, Field(description="Password for `DATABASE_URL`, where the address has none.")
+    ] = None
+    migration_database_password: Annotated[
+        SecretStr | None, Field(description="Password for `MIGRATION_DATABASE_URL`, where the address has none.")
+    ] = None
     serving_role: Annotated[
         str, Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `database_url`, which migrations grant to.")
     ] = "kleinkram_serve"
-    database_connections: Annotated[int, Field(ge=2, le=200, description="Connections a process may open.")] = 8
+    database_connections: Annotated[
+        int,
+        Field(
+            ge=2,
+            le=200,
+            description="Connections in a process's pool; beside it, an API process opens 2 more, a worker 13.",
+        ),
+    ] = 8
 
     s3_internal_url: Annotated[str, Field(description="The store's address as this server reaches it.")]
     s3_public_url: Annotated[
@@ -132,7 +157,13 @@ class Settings(BaseSettings):
             "viewers) may send and fetch; `leave` where somebody else writes them."
         ),
     ] = "set"
-    store_id: Annotated[str, Field(description="The name under which blobs remember this store.")] = "main"
+    store_id: Annotated[
+        str,
+        Field(
+            description="The name by which the database refers to the bucket. There is one bucket: after the first "
+            "start, never change this, also not when the files move to another store."
+        ),
+    ] = "main"
 
     store_folder: Annotated[
         Path | None,
@@ -186,10 +217,26 @@ class Settings(BaseSettings):
         NoDecode,
         BeforeValidator(_networks),
         Field(
-            description="Networks, with commas between, that may read /metrics and why the server is not ready. "
+            description="Networks, with commas between, to which /health/ready gives its reasons. "
             "Default: this machine."
         ),
     ] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
+    metrics_port: Annotated[
+        int | None,
+        Field(
+            ge=0,
+            le=65535,
+            description="Port on which a process serves its Prometheus metrics, one of its own for each process; "
+            "`--metrics-port` overrides it. Default: metrics are not served.",
+        ),
+    ] = None
+    metrics_address: Annotated[
+        str,
+        Field(
+            description="Address on which metrics are served. Whoever reaches it can read them: keep it on this "
+            "machine or in a private network."
+        ),
+    ] = "127.0.0.1"
     log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
 
     affiliations: Annotated[
@@ -208,6 +255,14 @@ class Settings(BaseSettings):
     ] = "affiliated"
 
     body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
+    connections_per_address: Annotated[
+        int,
+        Field(
+            ge=16,
+            description="Connections that one address may have open with one API process; trusted proxies may have any "
+            "number.",
+        ),
+    ] = 512
     sign_ins_per_minute: Annotated[
         PerMinute,
         Field(description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any."),
@@ -234,7 +289,7 @@ class Settings(BaseSettings):
         float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
     ] = 3600
     proving_bytes_per_s: Annotated[
-        int, Field(ge=1_048_576, description="Rate limit of the job that reads new blobs to prove them.")
+        int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to prove them.")
     ] = 100_000_000
     prove_again_days: Annotated[
         int, Field(ge=0, description="After how many days a proven blob is read and compared again; 0: never.")
@@ -249,6 +304,16 @@ class Settings(BaseSettings):
         int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
     ] = 1024**3
     summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_passwords(cls, values: dict[str, object]) -> dict[str, object]:
+        urls = {
+            name: _with_password(str(values[name]), values.get(name.replace("url", "password")))
+            for name in ("database_url", "migration_database_url")
+            if values.get(name) is not None
+        }
+        return {**values, **urls}
 
     @field_validator("oidc_providers")
     @classmethod
@@ -279,6 +344,29 @@ class Settings(BaseSettings):
     def store_public_url(self) -> str:
         """The address that clients' signatures name."""
         return self.s3_public_url or self.s3_internal_url
+
+
+# Addresses with passwords in them, and what holds secrets further inside; and every setting that is a SecretStr.
+_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "oidc_providers"})
+
+
+def is_secret(name: str) -> bool:
+    """Say of a setting whether its value is a secret: never shown, and readable from a file."""
+    return name in _SECRET or "SecretStr" in str(Settings.model_fields[name].annotation)
+
+
+def _with_password(url: str, password: object) -> str:
+    """Return a database address with a password put into it, unless none is given."""
+    secret = password.get_secret_value() if isinstance(password, SecretStr) else password
+    if not secret:
+        return url
+    scheme, _, rest = url.partition("://")
+    userinfo, at, place = rest.partition("@")
+    if not at or ":" in userinfo:
+        raise ValueError(
+            "a database password needs an address with a user and no password: postgresql://user@host/name"
+        )
+    return f"{scheme}://{userinfo}:{quote(str(secret), safe='')}@{place}"
 
 
 def origin_of(url: str) -> str:

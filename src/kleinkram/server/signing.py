@@ -34,6 +34,11 @@ class StoreClock:
         """Return the time there, aware."""
         return datetime.datetime.now(datetime.timezone.utc) + self._ahead
 
+    @property
+    def ahead_s(self) -> float:
+        """By how many seconds it is later there, as far as that is more than requests may take."""
+        return self._ahead.total_seconds()
+
     def hear(self, date: str | None) -> bool:
         """Take note of an answer's Date; say whether it is another time there than was thought."""
         try:

@@ -85,6 +85,7 @@ class Signers:
 
     public: Presigner
     internal: Presigner
+    bucket: str
 
 
 class Storage:
@@ -96,6 +97,11 @@ class Storage:
         self.abilities = abilities
 
     @property
+    def clock_ahead_s(self) -> float:
+        """By how many seconds the store's clock is ahead of this machine's; 0 where the difference is small."""
+        return self._signers.internal.clock.ahead_s
+
+    @property
     def checksum(self) -> ChecksumKind:
         """How the store proves what it receives."""
         return self.abilities.checksum
@@ -104,9 +110,28 @@ class Storage:
         """Ask for the bucket: that it is there, and may be used.
 
         Raises:
-            StoreUnavailable: the store does not answer, or not for this bucket and key.
+            StoreUnavailable: the store does not answer, has no such bucket, or refuses the access key.
         """
-        await self._ask("ask for the bucket", Question("HEAD"))
+        try:
+            await self._s3.ask(Question("HEAD"))
+        except S3Error as error:
+            code = await self._why_bucket_is_refused(error)
+            reason = _MISCONFIGURED.get(code, f"ask for the bucket: {code}")
+            raise StoreUnavailable(reason=reason.format(bucket=self._signers.bucket)) from error
+        except LOST as error:
+            raise StoreUnavailable(reason=f"it does not answer: {why(error)}") from error
+
+    async def _why_bucket_is_refused(self, refusal: S3Error) -> str:
+        """Return the store's code for a refusal; the answer to HEAD has no body, so ask once more where it matters."""
+        if refusal.status not in {403, 404}:
+            return refusal.code
+        try:
+            await self._s3.ask(Question("GET", query={"list-type": "2", "max-keys": "1", "prefix": "probe/"}))
+        except S3Error as error:
+            return error.code
+        except LOST:
+            return refusal.code
+        return refusal.code
 
     async def begin_multipart(self, key: str) -> str:
         """Open a multipart upload and return the store's id of it.
@@ -289,7 +314,7 @@ class Storage:
         except LOST as error:
             raise StoreUnavailable(reason=f"reading stopped: {why(error)}") from error
 
-    async def read_range(self, key: str, *, offset: int, size_bytes: int) -> bytes:
+    async def read_range(self, key: str, *, offset: int, size_bytes: int, attempts: int = 3) -> bytes:
         """Return some bytes of an object, fewer where it ends before; to be small enough to be held.
 
         Raises:
@@ -298,7 +323,7 @@ class Storage:
         """
         question = Question("GET", key, headers={"Range": f"bytes={offset}-{offset + size_bytes - 1}"})
         try:
-            async with aclosing(self._s3.stream(question)) as pieces:
+            async with aclosing(self._s3.stream(question, attempts=attempts)) as pieces:
                 return b"".join([piece async for piece in pieces])
         except S3Error as error:
             if error.code == "InvalidRange":
@@ -383,6 +408,15 @@ _DIGESTS = frozenset({"BadDigest", "InvalidDigest", "XAmzContentChecksumMismatch
 _MISSING = frozenset({"NoSuchKey", "NoSuchUpload"})
 
 
+_MISCONFIGURED = {
+    "NoSuchBucket": "there is no bucket '{bucket}': create it, or correct KLEINKRAM_S3_BUCKET",
+    "InvalidAccessKeyId": "it does not know the access key: correct KLEINKRAM_S3_ACCESS_KEY",
+    "SignatureDoesNotMatch": "the secret key does not fit the access key: correct KLEINKRAM_S3_SECRET_KEY",
+    "AccessDenied": "the access key has no right to list the bucket '{bucket}': grant it s3:ListBucket",
+    "RequestTimeTooSkewed": "its clock and this machine's differ: let both set their clocks (NTP)",
+}
+
+
 def _refusal(error: S3Error, what: str, question: Question) -> Exception:
     # An answer to HEAD has no body, so that the status is all it says.
     if question.key and (error.code in _MISSING or (question.method == "HEAD" and error.status == 404)):
@@ -397,7 +431,9 @@ async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
     """Open the store for the life of a process. What it can do is for the probe to find out, or stands in each row."""
     clock = StoreClock()
     signers = Signers(
-        Presigner(settings, settings.store_public_url, clock), Presigner(settings, settings.s3_internal_url, clock)
+        Presigner(settings, settings.store_public_url, clock),
+        Presigner(settings, settings.s3_internal_url, clock),
+        settings.s3_bucket,
     )
     async with open_s3(settings, signers.internal) as s3:
         await s3.look_at_clock()

@@ -13,6 +13,8 @@ from kleinkram.standalone.procs import listener
 from kleinkram.standalone.store import PORT_NAMES
 
 _PREFERRED = {"api": 8000, "store": 8001}
+# Where Prometheus may scrape, on this machine only.
+METRICS_PORTS = ("api_metrics", "worker_metrics")
 _FLAGS = {"api": "--port", "store": "--s3-port"}
 
 
@@ -101,7 +103,7 @@ def settle_ports(listening: Listening, remembered: dict[str, int]) -> dict[str, 
                 f"Port {given} on {listening.address} is taken{f' by {holder}' if holder else ''}: "
                 f"end that program, or choose another port with {_FLAGS[name]}."
             )
-    for name in ("postgres", *PORT_NAMES):
+    for name in ("postgres", *METRICS_PORTS, *PORT_NAMES):
         settled[name] = _settle(name, "127.0.0.1", remembered, settled)
     return settled
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.standalone.address import Listening, check_listening, public_urls, settle_ports
+from kleinkram.standalone.address import METRICS_PORTS, Listening, check_listening, public_urls, settle_ports
 from kleinkram.standalone.binaries import locate_postgres, locate_weed
 from kleinkram.standalone.child import Command
 from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
@@ -61,6 +61,9 @@ class Plan:
     def server_process(self, name: str, *arguments: str) -> Command:
         """One of the server's processes; only `migrate` learns the password of the role that owns the schema."""
         environment = _server_environment(self)
+        if f"{name}_metrics" in METRICS_PORTS:
+            environment["KLEINKRAM_METRICS_PORT"] = str(self.ports[f"{name}_metrics"])
+            environment["KLEINKRAM_METRICS_ADDRESS"] = "127.0.0.1"
         if name == "migrate":
             environment["KLEINKRAM_MIGRATION_DATABASE_URL"] = self.postgres.url(MIGRATE)
         return Command(
@@ -129,7 +132,8 @@ class Plan:
         if part == "store":
             own = [name for name in PORT_NAMES if name != "s3" and (name != "s3_tls" or self.listening.tls)]
             return [*own, "s3" if self.listening.needs_door else "store"]
-        return {"door": ["store"], "worker": [], "runner": []}.get(part, [part])
+        metrics = [f"{part}_metrics"] if f"{part}_metrics" in METRICS_PORTS else []
+        return [*{"door": ["store"], "worker": [], "runner": []}.get(part, [part]), *metrics]
 
     def api_arguments(self) -> list[str]:
         """Where the API listens, and that it waits for a word before it looks for database and store."""

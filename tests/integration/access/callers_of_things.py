@@ -174,6 +174,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "get_admin_health": (Caller(get("/admin/health"), About.server),),
     "get_admin_settings": (Caller(get("/admin/settings"), About.server),),
     "begin_scrub": (Caller(post("/admin/scrub", lambda _: {}), About.server),),
+    "retry_jobs": (Caller(post("/admin/jobs/retry"), About.server),),
     "retry_job": (Caller(post("/admin/jobs/1000000000/retry"), About.server, passes="not_found"),),
     "get_home": (Caller(get("/home"), About.server),),
     "get_home_storage": (Caller(get("/home/storage"), About.server),),

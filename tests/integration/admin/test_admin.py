@@ -79,6 +79,51 @@ def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypa
     assert lab.sql("SELECT 1 FROM job_error WHERE job_id = %s", job_id) == []
 
 
+def test_a_job_shows_why_it_failed_while_it_is_tried_again(
+    lab: Api, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    blob_id = str(Sample(lab).blob(size_bytes=3))
+    error = StoreUnavailable(reason="it is on holiday")
+
+    async def read(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(service, "get_blob", read)
+    job_id = lab.sql(
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, args)"
+        " VALUES ('default', 'summarise_blob', jsonb_build_object('ref', %s::text)) RETURNING id",
+        blob_id,
+    )[0][0]
+    run_jobs(lab)
+    with connect(lab.url, lab.token) as client:
+        (told,) = [each for each in client.admin.jobs().retrying if each.id == job_id]
+    assert (told.attempts, told.ref, told.error) == (1, blob_id, error.sentence())
+    assert told.next_attempt_at is not None
+    (line,) = [each for each in caplog.records if each.getMessage() == f"job failed: {error.sentence()}"]
+    assert line.levelname == "WARNING"
+    fields = vars(line)["fields"]
+    assert (fields["id"], fields["job"], fields["ref"], fields["attempt"]) == (job_id, "summarise_blob", blob_id, 1)
+    assert 'kleinkram_job_attempts_total{outcome="failed",task="summarise_blob"}' in lab.metrics()
+    lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s", job_id)
+
+
+def test_all_that_were_given_up_are_put_back_and_none_was_in_the_future(lab: Api) -> None:
+    insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'sweep',"
+    job_id = lab.sql(f"{insert} 'failed', '{{}}') RETURNING id")[0][0]
+    lab.sql(f"{insert} 'failed', '{{}}')")
+    for kind, at in (("failed", "now() - interval '1 h'"), ("scheduled", "now() + interval '1 h'")):
+        lab.sql(f"INSERT INTO procrastinate_events (job_id, type, at) VALUES (%s, '{kind}', {at})", job_id)
+    with connect(lab.url, lab.token) as client:
+        told = client.admin.jobs().failed
+        (failed_at,) = [each.failed_at for each in told if each.id == job_id]
+        assert failed_at is not None
+        assert failed_at < client.admin.health().now
+        assert client.admin.retry_jobs() == len(told)
+        assert client.admin.jobs().failed == []
+        assert client.admin.retry_jobs() == 0
+    lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'sweep'")
+
+
 def test_health_says_how_database_and_store_are(lab: Api) -> None:
     told = lab.get("/admin/health").ok()
     assert told["not_ready"] is None

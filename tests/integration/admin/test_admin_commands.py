@@ -56,6 +56,15 @@ def test_failed_jobs_are_shown_with_why_and_put_back(lab: Api, klein: Klein) -> 
     assert json.loads(klein("jobs", "--json"))["failed"] == []
 
 
+def test_all_failed_jobs_are_put_back_by_one_command(lab: Api, klein: Klein) -> None:
+    _fail_a_job(lab)
+    _fail_a_job(lab)
+    assert json.loads(klein("retry", "--all", "--json")) == {"retried": 2}
+    assert json.loads(klein("jobs", "--json"))["failed"] == []
+    with pytest.raises(SystemExit):
+        klein("retry")
+
+
 def test_health_and_storage_are_shown(klein: Klein) -> None:
     health = klein("health")
     assert "ready:" in health

@@ -64,6 +64,7 @@ WRITES: dict[str, set[str]] = {
     "invite_person": {"invitation.create"},
     "create_reset_link": {"password.reset_link"},
     "retry_job": {"[job.retry]"},
+    "retry_jobs": {"[job.retry]"},
     "begin_scrub": {"store.scrub"},
     "create_token": {"token.create"},
     "revoke_token": {"token.revoke"},

@@ -1,12 +1,19 @@
-"""Reading an object through: the connection is held for as long as bytes are wanted, and no longer."""
+"""Reading an object through: connections are given back, and a damaged object is told from a store in trouble."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from kleinkram.server.blobs.proving import read_through
 from kleinkram.server.site import Site
-from tests.integration.jobs import on_site
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site, run_jobs
+from tests.integration.middleman import Asked, Cut, Middleman, Reply, Rule, standing_before
 from tests.integration.running import Api
 from tests.integration.uploading import upload
+from tests.stack import RunningStore
 
 
 def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -> None:
@@ -26,3 +33,79 @@ def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -
         assert (await read_through(site, key)).size_bytes == len(body)
 
     on_site(api, work)
+
+
+@pytest.fixture(name="middleman", scope="module")
+def _middleman(store: RunningStore) -> Iterator[Middleman]:
+    with standing_before(store.endpoint) as middleman:
+        yield middleman
+
+
+@pytest.fixture(name="troubled", scope="module")
+def _troubled(start_api: StartApi, middleman: Middleman) -> Api:
+    """An API whose store can be made to fail."""
+    return start_api(s3_internal_url=middleman.url)
+
+
+def _uploaded(api: Api, size_bytes: int) -> tuple[Any, str]:
+    """A file whose bytes nobody has read yet, and the key of its object."""
+    file = upload(api, str(api.mission(api.project()["id"])["id"]), "drive.bin", os.urandom(size_bytes))
+    [(key,)] = api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file["id"])
+    return file, key
+
+
+def _fails_at(key: str, answer: Reply | Cut) -> Rule:
+    return lambda asked: answer if asked.method == "GET" and asked.key == key else None
+
+
+@pytest.mark.parametrize("answer", [Reply(500, "InternalError"), Cut()], ids=["not opened", "broken off"])
+@pytest.mark.parametrize("size_bytes", [3_000, 6_000_000], ids=["small", "large"])
+def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
+    troubled: Api, middleman: Middleman, answer: Reply | Cut, size_bytes: int
+) -> None:
+    file, key = _uploaded(troubled, size_bytes)
+    middleman.rule = _fails_at(key, answer)
+    try:
+        run_jobs(troubled)
+    finally:
+        middleman.rule = lambda _asked: None
+    seen = troubled.get(f"/files/{file['id']}").ok()
+    assert seen["state"] == "corrupt"
+    assert "serves others" in seen["state_reason"]
+    troubled.post(f"/files/{file['id']}/prove").ok(202)
+    run_jobs(troubled)
+    assert troubled.get(f"/files/{file['id']}").ok()["state"] == "proven", "the store was at fault, and is no more"
+
+
+def _all_fail(asked: Asked) -> Reply | None:
+    return Reply(500, "InternalError") if asked.method == "GET" and "list-type" not in asked.query else None
+
+
+def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman: Middleman) -> None:
+    file, _ = _uploaded(troubled, 3_000)
+    middleman.rule = _all_fail
+    try:
+        run_jobs(troubled)
+    finally:
+        middleman.rule = lambda _asked: None
+    assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
+    [(attempts,)] = troubled.sql(
+        "SELECT max(attempts) FROM procrastinate_jobs JOIN file f ON f.blob_id::text = args ->> 'ref' WHERE f.id = %s",
+        file["id"],
+    )
+    assert attempts >= 1, "it is tried again"
+
+
+def test_asking_for_a_proof_does_not_wait_for_a_retry(troubled: Api, middleman: Middleman) -> None:
+    file, _ = _uploaded(troubled, 3_000)
+    troubled.sql("DELETE FROM procrastinate_jobs")
+    [(blob_id,)] = troubled.sql("SELECT blob_id::text FROM file WHERE id = %s", file["id"])
+    troubled.sql(
+        "SELECT procrastinate_defer_jobs_v1(ARRAY[ROW('proving', 'prove_blob', -10, NULL, NULL,"
+        " jsonb_build_object('ref', %s::text), now() + interval '1 day')::procrastinate_job_to_defer_v1])",
+        blob_id,
+    )
+    troubled.post(f"/files/{file['id']}/prove").ok(202)
+    [(due, priority)] = troubled.sql("SELECT coalesce(scheduled_at, now()) <= now(), priority FROM procrastinate_jobs")
+    assert due
+    assert priority > 0

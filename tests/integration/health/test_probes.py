@@ -7,6 +7,7 @@ import pytest
 import urllib3
 
 from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server import metrics_port
 from kleinkram.server.health import readiness, routes
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api
@@ -39,7 +40,9 @@ class _Silent:
 
 def test_it_is_ready_when_all_is_there_and_says_what_is_not(start_api: StartApi) -> None:
     api = start_api()
-    assert _ready(api) == (200, "ready\n")
+    status, text = _ready(api)
+    assert (status, text.splitlines()[0]) == (200, "ready")
+    assert "no worker process was ever heard of" in text, "nobody should find out from files that stay unread"
     other = start_api()
     other.sql("UPDATE alembic_version SET version_num = 'other'")
     status, text = _ready(other)
@@ -72,7 +75,7 @@ def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monke
 
 
 def test_measures_are_whole_whoever_else_reads_them(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(routes, "_HOLDS_S", 3600)
+    monkeypatch.setattr(metrics_port, "_HOLDS_S", 3600)
     api = start_api()
     with api.statements() as statements, ThreadPoolExecutor(8) as pool:
         texts = list(pool.map(lambda _: api.metrics(), range(24)))
@@ -80,7 +83,7 @@ def test_measures_are_whole_whoever_else_reads_them(start_api: StartApi, monkeyp
         assert text.count("# TYPE kleinkram_queue_oldest_seconds gauge") == 1
         assert text.count("# TYPE kleinkram_jobs gauge") == 1
         assert text.count("# TYPE kleinkram_requests_total counter") == 1
-    assert len(statements) == 6
+    assert len(statements) == 9
 
 
 def test_more_requests_than_connections_wait_for_each_other(start_api: StartApi) -> None:

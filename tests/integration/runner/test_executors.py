@@ -152,6 +152,52 @@ def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
     assert "100 MB" in ending.message
 
 
+_PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
+_KEPT_OUTSIDE_PROCESSES = {
+    "memory file": "file = os.memfd_create('held')\nwhile True: os.write(file, bytes(1_000_000))",
+    "memory file, mapped once": (
+        "import mmap\nfor n in range(1000):\n    file = os.memfd_create('held'); os.ftruncate(file, 1_000_000)\n"
+        "    with mmap.mmap(file, 1_000_000) as held: held.write(bytes(1_000_000))"
+    ),
+    "System V segment": (
+        "import ctypes\nlibc = ctypes.CDLL(None)\nlibc.shmat.restype = ctypes.c_void_p\nfor n in range(1000):\n"
+        "    key = libc.shmget(0, 1_000_000, 0o1600)\n    assert key >= 0, 'no segment'\n"
+        "    held = libc.shmat(key, None, 0); ctypes.memset(held, 1, 1_000_000); libc.shmdt(ctypes.c_void_p(held))"
+    ),
+    "tmpfs": (
+        "import subprocess\nscript = 'mount -t tmpfs none /tmp && head -c 400000000 /dev/zero > /tmp/held'\n"
+        "subprocess.run(['unshare', '-Urm', 'sh', '-c', script], check=True)"
+    ),
+}
+
+
+@_PROCESS_ONLY
+@pytest.mark.parametrize("kind", _KEPT_OUTSIDE_PROCESSES)
+def test_memory_that_is_no_process_own_is_counted_or_not_to_be_had(isolated: Bench, kind: str) -> None:
+    _, ending = isolated.run(f"import os\n{_KEPT_OUTSIDE_PROCESSES[kind]}", memory_bytes=60_000_000, time_s=20)
+    assert ending.reason in {EndReason.memory, EndReason.exit_code}
+
+
+@_PROCESS_ONLY
+def test_shared_memory_is_counted(isolated: Bench) -> None:
+    text = "with open('/dev/shm/held', 'wb') as file: file.write(bytes(60_000_000))\nimport time; time.sleep(10)"
+    assert isolated.run(text, memory_bytes=50_000_000)[1].reason is EndReason.memory
+
+
+@_PROCESS_ONLY
+def test_processes_share_memory_as_programs_do(isolated: Bench) -> None:
+    text = (
+        "import multiprocessing as m\nfrom multiprocessing.shared_memory import SharedMemory\n"
+        "def fill(name):\n    held = SharedMemory(name); held.buf[:3] = b'abc'; held.close()\n"
+        "held = SharedMemory(create=True, size=1_000_000)\n"
+        "m.get_context('fork').Process(target=fill, args=(held.name,)).start()\n"
+        "[each.join() for each in m.active_children()]\n"
+        "assert bytes(held.buf[:3]) == b'abc'; held.close(); held.unlink()"
+    )
+    _, ending = isolated.run(text)
+    assert ending.reason is EndReason.done, log_of(isolated.made[-1])
+
+
 @pytest.mark.parametrize("place", ["/out", "/tmp"])
 def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
     _, ending = isolated.run(

@@ -7,6 +7,7 @@ import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MOST_STREAMS
 from kleinkram.server.runs.jobs import tend_once
 from kleinkram.server.site import Site
@@ -200,8 +201,42 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
     for thread in threads:
         thread.start()
     hub = lab.app.state.hub
-    wait_until(lambda: len(hub._listeners) > MOST_STREAMS)
+    wait_until(lambda: len(hub._long_polls) > MOST_STREAMS)
     mine = lab.as_(people.token(lab, admin).secret)
     assert mine.get("/events", {"for_s": "0"}).status == 200
     for thread in threads:
         thread.join()
+
+
+def test_log_readers_that_wait_shut_nobody_else_out(
+    lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs, "MOST_LONG_POLLS", 3)
+    made = launch(lab, runner, place.mission)
+    path, waiting = f"/runs/{made['id']}/log", {"wait_s": "10"}
+    threads = [threading.Thread(target=lab.get, args=(path, waiting)) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    hub = lab.app.state.hub
+    wait_until(lambda: len(hub._long_polls) == 3)
+    lab.get(path, waiting).refused(429, "too_many_streams")
+    lab.get(path).ok()
+    other = lab.as_(people.token(lab, people.person(lab, admin=True)).secret)
+    assert other.get(path, {"wait_s": "0.1"}).status == 200, "each account has its own number"
+    runner.finish(runner.claim())
+    for thread in threads:
+        thread.join()
+
+
+def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: Played, place: Place) -> None:
+    mine, other = (launch(lab, runner, place.mission) for _ in range(2))
+    reader = threading.Thread(target=lab.get, args=(f"/runs/{mine['id']}/log", {"wait_s": "4"}))
+    reader.start()
+    hub = lab.app.state.hub
+    wait_until(lambda: len(hub._long_polls) == 1)
+    with lab.statements() as statements:
+        for _ in range(20):
+            noted = f'["run_log", "changed", "{other["id"]}", null, "{place.mission["id"]}", null]'
+            lab.sql("SELECT pg_notify('kleinkram_changes', %s)", noted)
+        reader.join()
+    assert len([each for each in statements if "log_segment" in each]) < 10

@@ -2,6 +2,8 @@
 
 import json
 import logging
+import subprocess
+import sys
 
 from kleinkram.server.logs import JsonLines
 
@@ -13,3 +15,20 @@ def test_a_terminal_that_shows_a_line_obeys_nothing_in_it() -> None:
     assert line.isprintable()
     assert "käse" in line
     assert json.loads(line)["path"] == path
+
+
+def test_what_ends_a_process_is_a_log_line_too() -> None:
+    program = (
+        "from kleinkram.server.logs import set_up_logs; import threading\n"
+        "set_up_logs('json')\n"
+        "thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join()\n"
+        "raise ValueError('no more')\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    lines = [json.loads(line) for line in ran.stderr.splitlines()]
+    assert [line["message"] for line in lines] == [
+        "ended by an error: ZeroDivisionError: division by zero",
+        "ended by an error: ValueError: no more",
+    ]
+    assert all("Traceback" in line["exception"] for line in lines)
+    assert ran.returncode == 1

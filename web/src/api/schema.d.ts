@@ -102,7 +102,7 @@ export interface paths {
         };
         /**
          * Get Admin Jobs
-         * @description Show the queue, and the jobs that were given up.
+         * @description Show the queue, the jobs that wait for another attempt, and those that were given up.
          */
         get: operations["get_admin_jobs"];
         put?: never;
@@ -127,6 +127,26 @@ export interface paths {
          * @description Put a job that was given up back into the queue.
          */
         post: operations["retry_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/jobs/retry": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Retry Jobs
+         * @description Put all jobs that were given up back into the queue.
+         */
+        post: operations["retry_jobs"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2563,7 +2583,10 @@ export interface components {
         };
         /**
          * AdminHealth
-         * @description How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
+         * @description How the server is.
+         *
+         *     `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
+         *     when each worker process that is alive was last heard of; `worker_last_at`: when any was.
          */
         AdminHealth: {
             /** Clock Skew S */
@@ -2589,18 +2612,26 @@ export interface components {
             store_writes_once: boolean;
             /** Version */
             version: string;
+            /** Warnings */
+            warnings: string[];
+            /** Worker Last At */
+            worker_last_at: string | null;
             /** Workers At */
             workers_at: string[];
         };
         /**
          * AdminJobs
-         * @description The queue, and the jobs that were given up last, at most 100; each is forgotten after a week.
+         * @description The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
+         *
+         *     A job that was given up is forgotten after a week.
          */
         AdminJobs: {
             /** Failed */
             failed: components["schemas"]["FailedJob"][];
             /** Queue */
             queue: components["schemas"]["JobAmount"][];
+            /** Retrying */
+            retrying: components["schemas"]["RetryingJob"][];
         };
         /**
          * AdminSettings
@@ -5153,6 +5184,32 @@ export interface components {
             time_s: number;
         };
         /**
+         * RetriedJobs
+         * @description How many jobs that were given up are in the queue again.
+         */
+        RetriedJobs: {
+            /** Count */
+            count: number;
+        };
+        /**
+         * RetryingJob
+         * @description A job that failed and waits for another attempt. `error` says why the last one failed.
+         */
+        RetryingJob: {
+            /** Attempts */
+            attempts: number;
+            /** Error */
+            error: string | null;
+            /** Id */
+            id: number;
+            /** Kind */
+            kind: string;
+            /** Next Attempt At */
+            next_attempt_at: string | null;
+            /** Ref */
+            ref: string | null;
+        };
+        /**
          * Right
          * @description What somebody may do with a project or a mission. Each contains those before it; compare by `level`.
          * @enum {string}
@@ -7081,6 +7138,62 @@ export interface operations {
             };
             /** @description A failure, by its code: invalid_request. */
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    retry_jobs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RetriedJobs"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
                 headers: {
                     [name: string]: unknown;
                 };

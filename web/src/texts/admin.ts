@@ -65,6 +65,8 @@ export const texts = {
     columns: { kind: "Job", state: "State", count: "How many", oldest: "Oldest", ref: "For", attempts: "Tries", failed: "Given up", act: "Try again" },
     states,
     idle: "Nothing waits, and nothing has failed.",
+    retrying: "Waiting for another attempt",
+    next: "Next attempt",
     failed: "Given up",
     failedWhy: "These failed as often as they are tried. The worker’s log says more, under their number; each is forgotten after a week.",
     none: "No job was given up.",

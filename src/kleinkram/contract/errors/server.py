@@ -19,7 +19,7 @@ class RateLimited(KleinkramError):
 
 @dataclass(eq=False)
 class TooManyStreams(KleinkramError):
-    """Your account has {most} streams of events open, which is all that it gets. Close a page, or a program."""
+    """Your account has {most} streams or waiting requests open, which is the limit. Close a page or a program."""
 
     code = ErrorCode.too_many_streams
     status = 429
@@ -28,7 +28,7 @@ class TooManyStreams(KleinkramError):
 
 @dataclass(eq=False)
 class StoreUnavailable(KleinkramError):
-    """The object store does not answer ({reason}). Nothing was lost; try again in a moment."""
+    """The object store cannot be used ({reason}). Nothing was lost; try again in a moment."""
 
     code = ErrorCode.store_unavailable
     status = 503

@@ -1,10 +1,13 @@
 """Calls of the Linux kernel that Python has no words for. Each raises OSError with the call's name."""
 
 import ctypes
+import errno
 import fcntl
 import os
+import platform
 import socket
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 
 CLONE_NEWNS = 0x00020000
@@ -30,12 +33,45 @@ _AT_FDCWD = -100
 _MOUNT_ATTR_RDONLY = 0x1
 _MOUNT_ATTR_NOSUID = 0x2
 _MOUNT_ATTR_NODEV = 0x4
+_PR_SET_SECCOMP = 22
+_SECCOMP_MODE_FILTER = 2
+# A classic BPF program over `struct seccomp_data`: where it finds what, and the operations that it is made of.
+# Source: linux/seccomp.h, linux/filter.h, linux/bpf_common.h.
+_NUMBER_AT, _ARCHITECTURE_AT, _FIRST_ARGUMENT_AT = 0, 4, 16
+_LOAD_WORD, _JUMP_IF_EQUAL, _JUMP_IF_AT_LEAST, _JUMP_IF_BITS, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+_ALLOW, _FAIL_WITH = 0x7FFF0000, 0x00050000
+_X32_CALLS = 0x40000000
+
 _SIOCSIFADDR = 0x8916
 _SIOCGIFFLAGS = 0x8913
 _SIOCSIFFLAGS = 0x8914
 _IFF_UP = 0x1
 
 _libc = ctypes.CDLL(None, use_errno=True)
+
+
+@dataclass(frozen=True)
+class _Calls:
+    """What an architecture calls itself in a filter, and the numbers of its system calls.
+
+    Source: linux/audit.h; arch/x86/entry/syscalls/syscall_64.tbl; include/uapi/asm-generic/unistd.h.
+    """
+
+    architecture: int
+    memory_files: tuple[int, ...]  # memfd_create, memfd_secret
+    system_v: tuple[int, ...]  # shmget, msgget
+    clone3: int
+    with_flags: tuple[int, ...]  # unshare, clone
+
+
+_CALLS = {
+    "x86_64": _Calls(0xC000003E, (319, 447), (29, 68), 435, (272, 56)),
+    "aarch64": _Calls(0xC00000B7, (279, 447), (194, 186), 435, (97, 220)),
+}
+
+
+class _FilterProgram(ctypes.Structure):
+    _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_char_p))
 
 
 def unshare(flags: int) -> None:
@@ -87,6 +123,42 @@ def die_with_parent(sign: int) -> None:
 def give_up_privileges() -> None:
     """Gain none by executing a program, from now on and for all children."""
     _check(_libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0), "prctl")
+
+
+def deny_uncounted_memory() -> None:
+    """Have all calls fail that make memory which is no process's own, for this process and all its children.
+
+    Memory files and System V segments hold memory that is mapped nowhere; a user namespace of its own could mount a
+    tmpfs of any size. Programs take the errors for those of an older kernel. `give_up_privileges` comes first.
+
+    Raises:
+        OSError: the kernel has no such filters, or the architecture is not one that we know.
+    """
+    calls = _CALLS.get(platform.machine())
+    if calls is None:
+        raise OSError(errno.ENOTSUP, f"seccomp: no filter for {platform.machine()}")
+    missing = _FAIL_WITH | errno.ENOSYS
+    program = [
+        (_LOAD_WORD, 0, 0, _ARCHITECTURE_AT),
+        (_JUMP_IF_EQUAL, 1, 0, calls.architecture),
+        (_RETURN, 0, 0, missing),
+        (_LOAD_WORD, 0, 0, _NUMBER_AT),
+        (_JUMP_IF_AT_LEAST, 0, 1, _X32_CALLS),
+        (_RETURN, 0, 0, missing),
+    ]
+    for number in (*calls.memory_files, *calls.system_v, calls.clone3):
+        program += [(_JUMP_IF_EQUAL, 0, 1, number), (_RETURN, 0, 0, missing)]
+    for number in calls.with_flags:
+        program += [
+            (_JUMP_IF_EQUAL, 0, 4, number),
+            (_LOAD_WORD, 0, 0, _FIRST_ARGUMENT_AT),
+            (_JUMP_IF_BITS, 0, 1, CLONE_NEWUSER),
+            (_RETURN, 0, 0, _FAIL_WITH | errno.EPERM),
+            (_RETURN, 0, 0, _ALLOW),
+        ]
+    program.append((_RETURN, 0, 0, _ALLOW))
+    given = _FilterProgram(len(program), b"".join(struct.pack("HBBI", *each) for each in program))
+    _check(_libc.prctl(_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER, ctypes.byref(given), 0, 0), "seccomp")
 
 
 def raise_loopback() -> None:

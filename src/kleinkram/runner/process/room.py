@@ -20,7 +20,8 @@ from kleinkram.runner.process import kernel
 _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
 _DEVICES = ("null", "zero", "full", "random", "urandom")
-_SHARED_MEMORY_BYTES = 64 * 2**20
+SHARED_MEMORY = Path("dev/shm")
+SHARED_MEMORY_BYTES = 64 * 2**20
 _PROCESSES = 1024
 # A file may be so much larger than what all may be: else nobody could tell that it was the disk.
 _FILE_BEYOND_DISK_BYTES = 64 * 2**20
@@ -53,6 +54,8 @@ def can_be_made() -> bool:
                 kernel.mount("none", Path("/"), None, kernel.MS_REC | kernel.MS_PRIVATE)
                 kernel.mount("tmpfs", Path("/tmp"), "tmpfs", 0)  # noqa: S108  in a namespace that ends with this line
                 kernel.make_read_only(Path("/tmp"))  # noqa: S108
+                kernel.give_up_privileges()
+                kernel.deny_uncounted_memory()
                 os._exit(0)
             os._exit(os.waitstatus_to_exitcode(os.waitpid(inner, 0)[1]) & 0xFF)
         except BaseException:
@@ -102,7 +105,6 @@ def _be_first(room: Room, command: Sequence[str], environment: Mapping[str, str]
         os.setresgid(room.uid, room.uid, room.uid)
         os.setresuid(room.uid, room.uid, room.uid)
         kernel.die_with_parent(signal.SIGKILL)
-    kernel.give_up_privileges()
     bound(room)
     os.chdir("/tmp")  # noqa: S108  the run's own
     pid = os.fork()
@@ -146,6 +148,8 @@ def _code_of(pid: int) -> int:
 
 def bound(room: Room) -> None:
     """Hold this process, and all it starts, to what one process may have."""
+    kernel.give_up_privileges()
+    kernel.deny_uncounted_memory()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     largest = room.disk_bytes + _FILE_BEYOND_DISK_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
@@ -215,4 +219,4 @@ def _make_devices(root: Path) -> None:
     for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         (devices / name).symlink_to(f"/proc/self/fd{number}")
     flags = kernel.MS_NOSUID | kernel.MS_NODEV
-    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={_SHARED_MEMORY_BYTES},mode=1777")
+    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")

@@ -22,7 +22,7 @@ from typing import Any
 
 from kleinkram.runner import doors, ward
 from kleinkram.runner.process import kernel
-from kleinkram.runner.process.room import Room, bound, run_in
+from kleinkram.runner.process.room import SHARED_MEMORY, SHARED_MEMORY_BYTES, Room, bound, run_in
 
 _LOOK_EVERY_S = 0.1
 _MEASURE_DISK_EVERY_S = 1.0
@@ -37,6 +37,7 @@ _Taker = Callable[[bytes], None]
 class _Use:
     cpu_s: float = 0.0
     memory_bytes: int = 0
+    shared_bytes: int = 0
     peak_memory_bytes: int = 0
     read_bytes: int = 0
     written_bytes: int = 0
@@ -183,7 +184,10 @@ class Warden:
                 _kill(each, signal.SIGTERM)
 
     def _measure(self) -> None:
-        used = _sum([_use_of(pid) for pid in _descendants(os.getpid())])
+        running = _descendants(os.getpid())
+        used = _sum([_use_of(pid) for pid in running])
+        # What is in files of shared memory counts whether mapped or not; what is mapped of them is counted once.
+        used = replace(used, memory_bytes=used.memory_bytes + max(used.shared_bytes, self._shared_memory(running)))
         peak = max(self._use.peak_memory_bytes, used.memory_bytes)
         # What a process used is its parent's when it ends, a moment later: figures never fall.
         self._use = replace(
@@ -195,14 +199,30 @@ class Warden:
         )
         if time.monotonic() >= self._told_at:
             self._told_at = time.monotonic() + _TELL_USAGE_EVERY_S
-            ward.write_usage(self._folder, vars(self._use))
+            self._write_usage()
+
+    def _write_usage(self) -> None:
+        ward.write_usage(
+            self._folder, {name: value for name, value in vars(self._use).items() if name != "shared_bytes"}
+        )
+
+    def _shared_memory(self, running: list[int]) -> int:
+        """Return the bytes in the run's own /dev/shm; 0 where it has none, or nobody runs who would show it."""
+        if not self._work["is_isolated"]:
+            return 0
+        for pid in running:
+            with contextlib.suppress(OSError):
+                there = os.statvfs(Path(f"/proc/{pid}/root") / SHARED_MEMORY)
+                if there.f_blocks * there.f_frsize == SHARED_MEMORY_BYTES:
+                    return (there.f_blocks - there.f_bfree) * there.f_frsize
+        return 0
 
     def _leave(self, code: int) -> None:
         failure = self._failure.decode(errors="replace")
         self._look_at_disk()
         used = os.times()
         self._use = replace(self._use, cpu_s=max(self._use.cpu_s, used.children_user + used.children_system))
-        ward.write_usage(self._folder, vars(self._use))
+        self._write_usage()
         reason, message = self._why or _told_by(failure, code)
         exit_code = None if failure or self._why else code
         ward.write_whole(self._folder / ward.ENDING, {"reason": reason, "message": message, "exit_code": exit_code})
@@ -257,15 +277,16 @@ def _use_of(pid: int) -> _Use:
     except OSError:
         return _Use()
     said = dict(line.split(":", 1) for line in (status + traffic).splitlines() if ":" in line)
-    memory = sum(int(said.get(name, "0 kB").split()[0]) for name in ("RssAnon", "RssShmem"))
+    own, shared = (int(said.get(name, "0 kB").split()[0]) * 1024 for name in ("RssAnon", "RssShmem"))
     ticks = sum(map(int, fields[11:15]))
-    return _Use(ticks / _TICKS_PER_S, memory * 1024, 0, int(said["read_bytes"]), int(said["write_bytes"]))
+    return _Use(ticks / _TICKS_PER_S, own, shared, 0, int(said["read_bytes"]), int(said["write_bytes"]))
 
 
 def _sum(uses: list[_Use]) -> _Use:
     return _Use(
         sum(use.cpu_s for use in uses),
         sum(use.memory_bytes for use in uses),
+        sum(use.shared_bytes for use in uses),
         0,
         sum(use.read_bytes for use in uses),
         sum(use.written_bytes for use in uses),

@@ -16,15 +16,23 @@ QUEUE = text(
 )
 FAILED = text(
     "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts, why.sentence AS error,"
-    " (SELECT max(e.at) FROM procrastinate_events e WHERE e.job_id = j.id) AS failed_at"
+    " (SELECT max(e.at) FROM procrastinate_events e WHERE e.job_id = j.id AND e.type = 'failed') AS failed_at"
     " FROM procrastinate_jobs j LEFT JOIN job_error why ON why.job_id = j.id"
     " WHERE j.status = 'failed' ORDER BY j.id DESC LIMIT 100"
+)
+RETRYING = text(
+    "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts, why.sentence AS error,"
+    " j.scheduled_at AS next_attempt_at FROM procrastinate_jobs j LEFT JOIN job_error why ON why.job_id = j.id"
+    " WHERE j.status = 'todo' AND j.attempts > 0 ORDER BY j.id LIMIT 100"
 )
 RETRY = text(
     "UPDATE procrastinate_jobs SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
     " WHERE id = :id AND status = 'failed' RETURNING task_name"
 )
-WORKERS = text("SELECT last_heartbeat FROM procrastinate_workers ORDER BY 1 DESC LIMIT 20")
+RETRY_ALL = text(
+    "WITH retried AS (UPDATE procrastinate_jobs SET status = 'todo', attempts = 0, scheduled_at = NULL,"
+    " worker_id = NULL WHERE status = 'failed' RETURNING 1) SELECT count(*) FROM retried"
+)
 SERVER = text(
     "SELECT clock_timestamp() AS now, current_setting('server_version') AS version,"
     " pg_database_size(current_database()) AS size_bytes"

@@ -9,6 +9,7 @@ from kleinkram.contract.admin import (
     AdminJobs,
     AdminSettings,
     AdminStorage,
+    RetriedJobs,
     ScrubRead,
     ScrubRequest,
     ScrubState,
@@ -28,7 +29,7 @@ async def get_admin_storage(db: Transaction, settings: CurrentSettings) -> Admin
 
 @router.get("/jobs", operation_id="get_admin_jobs")
 async def get_admin_jobs(db: Transaction) -> AdminJobs:
-    """Show the queue, and the jobs that were given up."""
+    """Show the queue, the jobs that wait for another attempt, and those that were given up."""
     return await service.get_jobs(db)
 
 
@@ -36,6 +37,12 @@ async def get_admin_jobs(db: Transaction) -> AdminJobs:
 async def retry_job(job_id: JobId, db: Transaction, actor: CurrentActor) -> None:
     """Put a job that was given up back into the queue."""
     await service.retry_job(db, actor, job_id)
+
+
+@router.post("/jobs/retry", operation_id="retry_jobs")
+async def retry_jobs(db: Transaction, actor: CurrentActor) -> RetriedJobs:
+    """Put all jobs that were given up back into the queue."""
+    return await service.retry_jobs(db, actor)
 
 
 @router.get("/scrub", operation_id="get_admin_scrub")

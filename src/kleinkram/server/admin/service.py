@@ -3,7 +3,6 @@
 import datetime
 from typing import Any
 
-from pydantic import SecretStr
 from sqlalchemy import Row, Select
 
 import kleinkram
@@ -14,6 +13,8 @@ from kleinkram.contract.admin import (
     AdminStorage,
     FailedJob,
     JobAmount,
+    RetriedJobs,
+    RetryingJob,
     ScrubRead,
     ScrubState,
     SettingRead,
@@ -26,14 +27,12 @@ from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.blobs import scrubs
 from kleinkram.server.db import Connection
-from kleinkram.server.health.readiness import missing
+from kleinkram.server.health.readiness import readiness
 from kleinkram.server.home.service import is_low, store_use
+from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.settings import Settings
+from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.site import Site
-
-# Addresses with passwords in them, and what holds secrets further inside.
-_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "s3_secret_key", "oidc_providers"})
 
 
 async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
@@ -51,12 +50,14 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
 
 
 async def get_jobs(db: Connection) -> AdminJobs:
-    """Return the queue, and the jobs that were given up last."""
+    """Return the queue, the jobs that wait for another attempt, and those that were given up last."""
     queue = (await db.execute(queries.QUEUE)).all()
     failed = (await db.execute(queries.FAILED)).all()
+    retrying = (await db.execute(queries.RETRYING)).all()
     return AdminJobs(
         queue=[JobAmount(kind=row.kind, state=row.state, count=row.number, oldest_at=row.oldest_at) for row in queue],
         failed=[FailedJob.model_validate(row._asdict()) for row in failed],
+        retrying=[RetryingJob.model_validate(row._asdict()) for row in retrying],
     )
 
 
@@ -70,6 +71,14 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
     if kind is None:
         raise NotFound(noun="failed job", ref=str(job_id))
     await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
+
+
+async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
+    """Put all jobs that were given up back into the queue, and return how many."""
+    count: int = (await db.execute(queries.RETRY_ALL)).scalar_one()
+    if count:
+        await record(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, by_power=True))
+    return RetriedJobs(count=count)
 
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
@@ -97,20 +106,22 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, belie
 
 async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
     """Return how the server is; asks the store without holding a connection."""
-    not_ready = await missing(site.database, site.storage)
+    found = await readiness(site.database, site.storage)
     async with site.database.begin() as db:
         server = (await db.execute(queries.SERVER)).one()
         here = datetime.datetime.now(datetime.timezone.utc)
-        workers = (await db.execute(queries.WORKERS)).scalars().all()
+        workers = await find_workers(db)
     return AdminHealth(
-        not_ready=not_ready,
+        not_ready=found.missing,
+        warnings=list(found.warnings),
         version=kleinkram.__version__,
         schema_version=HEAD,
         database_version=server.version,
         database_bytes=server.size_bytes,
         now=here,
         clock_skew_s=(here - server.now).total_seconds(),
-        workers_at=list(workers),
+        workers_at=workers.seen_at,
+        worker_last_at=workers.last_seen_at,
         store_checksum=site.storage.checksum.value,
         store_writes_once=site.storage.abilities.writes_once,
         store_takes_pages=takes_pages,
@@ -124,9 +135,9 @@ def get_settings(settings: Settings) -> AdminSettings:
         settings=[
             SettingRead(
                 name=f"KLEINKRAM_{name.upper()}",
-                value=None if _is_secret(settings, name) else said[name],
+                value=None if is_secret(name) else said[name],
                 is_set=name in settings.model_fields_set,
-                is_secret=_is_secret(settings, name),
+                is_secret=is_secret(name),
             )
             for name in sorted(said)
         ]
@@ -135,10 +146,6 @@ def get_settings(settings: Settings) -> AdminSettings:
 
 def _scrub(row: Row[Any]) -> ScrubRead:
     return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
-
-
-def _is_secret(settings: Settings, name: str) -> bool:
-    return name in _SECRET or isinstance(getattr(settings, name), SecretStr)
 
 
 async def _sum(db: Connection, state: str, statement: Select[Any]) -> StateAmount:

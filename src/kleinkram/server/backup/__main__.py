@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from kleinkram.server.backup.creating import Making, create
 from kleinkram.server.backup.failing import BackupError, CannotBeMeant, Damaged
@@ -22,6 +22,7 @@ from kleinkram.server.backup.problems import MOST_KEPT, Problems
 from kleinkram.server.backup.repository import open_place, open_repository
 from kleinkram.server.backup.restoring import Wish, restore
 from kleinkram.server.backup.verifying import Looking, verify
+from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
 
 _INTERRUPTED = 130
@@ -39,14 +40,15 @@ class _Order(BaseModel):
     @property
     def passphrase(self) -> str | None:
         """The passphrase, of the file or the environment; None where none is given."""
-        if self.passphrase_file is None:
+        path = self.passphrase_file or os.environ.get("KLEINKRAM_BACKUP_PASSPHRASE_FILE")
+        if path is None:
             return os.environ.get("KLEINKRAM_BACKUP_PASSPHRASE") or None
         try:
-            lines = self.passphrase_file.read_text(encoding="utf-8").splitlines()
+            lines = Path(path).read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            raise CannotBeMeant(f"The passphrase file {self.passphrase_file} cannot be read: {error}") from None
+            raise CannotBeMeant(f"The passphrase file {path} cannot be read: {error}") from None
         if not lines or not lines[0]:
-            raise CannotBeMeant(f"The passphrase file {self.passphrase_file} is empty: its first line counts.")
+            raise CannotBeMeant(f"The passphrase file {path} is empty: its first line counts.")
         return lines[0]
 
 
@@ -251,12 +253,11 @@ async def _restore(order: RestoreOrder) -> int:
 
 def _settings() -> Settings:
     try:
-        return Settings()  # read from the environment
-    except ValidationError as error:
-        names = ", ".join(f"KLEINKRAM_{str(each['loc'][0]).upper()}" for each in error.errors())
+        return load_settings()
+    except SettingsInvalid as error:
         raise CannotBeMeant(
-            f"The site's settings are not all there ({names}): set them as for the server, or name the folder of a "
-            "`klein up` by --data-dir."
+            f"The site's settings are not all there: set them as for the server, or name the folder of a `klein up` by "
+            f"--data-dir.\n{error}"
         ) from None
 
 

@@ -18,6 +18,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from kleinkram.contract.uploads import part_size_bytes
 from kleinkram.server.backup.failing import CannotBeMeant, CannotWrite, Unreachable
 from kleinkram.server.backup.shelf import Item
+from kleinkram.server.environment import SettingsInvalid, secret_from_file
 from kleinkram.server.s3 import LOST, S3, Question, S3Error, open_s3, why
 from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
@@ -163,7 +164,12 @@ async def open_bucket(address: str) -> "AsyncGenerator[BucketShelf, None]":
     if not bucket:
         raise CannotBeMeant(f"{address} names no bucket: write s3://bucket or s3://bucket/folder.")
     try:
-        given = BucketSettings()  # read from the environment
+        names = ("s3_access_key", "s3_secret_key")
+        read = {name: secret_from_file(f"KLEINKRAM_BACKUP_{name.upper()}") for name in names}
+        secrets = {name: value for name, value in read.items() if value is not None}
+        given = BucketSettings(**secrets)  # type: ignore[arg-type]  # validated; the rest is read from the environment
+    except SettingsInvalid as error:
+        raise CannotBeMeant(str(error)) from None
     except ValidationError as error:
         missing = ", ".join(f"KLEINKRAM_BACKUP_{str(each['loc'][0]).upper()}" for each in error.errors())
         raise CannotBeMeant(f"{address} is reached by settings in the environment: set {missing}.") from None

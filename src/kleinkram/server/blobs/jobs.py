@@ -28,7 +28,7 @@ from kleinkram.recordings import (
 )
 from kleinkram.server.blobs import scrubs, service
 from kleinkram.server.blobs.holding import is_held_back
-from kleinkram.server.blobs.proving import Found, read_through
+from kleinkram.server.blobs.proving import Found, Unreadable, read_through
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.blobs.scrubbing import scrub_store
 from kleinkram.server.jobs.context import ATTEMPTS, PATIENTLY, courtesy_of, given, site_of
@@ -173,7 +173,7 @@ async def examine_blob(context: JobContext, ref: str) -> None:
             break
         try:
             read = await _read(site, given(context, "readers", Readers), other)
-        except FileNotFoundError:
+        except (FileNotFoundError, Unreadable):
             continue  # its own job will say so, as of those that were altered
         except StoreUnavailable:
             break
@@ -207,6 +207,11 @@ async def _read_or_damaged(context: JobContext, site: Site, row: Row[tuple[objec
         found, scan = await _read(site, given(context, "readers", Readers), row)
     except FileNotFoundError:
         await _keep_damage(site, row.id, BlobState.lost, "the store no longer has the object")
+        return None
+    except Unreadable as error:
+        await _keep_damage(site, row.id, BlobState.corrupt, str(error))
+        async with site.database.begin() as db:
+            await service.prove_tomorrow(db, row.id)
         return None
     except StoreUnavailable as error:
         await site.storage.check()  # raises when the store is away: then the blob is not to blame

@@ -26,6 +26,7 @@ from kleinkram.server.sets import given
 from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
+_TOMORROW = datetime.timedelta(days=1)
 # Where there are more blobs, a round of the sweep looks at its share of them: the rounds of four hours look at all. A
 # prime number: rounds that are late, each as much as the other, still come to every share.
 _ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 23, 600
@@ -88,6 +89,11 @@ async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
         await hasten(db, Job.prove_blob, blob_id)
         return
     await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
+
+
+async def prove_tomorrow(db: Connection, blob_id: uuid.UUID) -> None:
+    """See to it that a blob which the store failed to read is read once more: the store may have been at fault."""
+    await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.at_leisure, later=_TOMORROW)
 
 
 async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:

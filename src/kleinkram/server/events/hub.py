@@ -6,10 +6,9 @@ Holds some thousand notices in memory, and no database connection for a stream. 
 import asyncio
 import logging
 import secrets
-import time
 import uuid
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Collection, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 
@@ -23,6 +22,9 @@ from kleinkram.server.settings import Settings, plain_dsn
 _log = logging.getLogger("kleinkram.events")
 MOST_STREAMS = 16
 _MOST_STREAMS_OF_ALL = 1000
+# Requests that wait for something to happen (long polls): of one account or runner, and of all together.
+MOST_LONG_POLLS = 32
+_MOST_LONG_POLLS_OF_ALL = 1000
 MOST_WAITING = 500
 # What a client that comes back after a moment is told of the time between.
 _REMEMBERED = 2000
@@ -47,10 +49,23 @@ class Heard:
     was_missed: bool
 
 
-class Listener:
-    """What one stream has heard and not told yet; bounded."""
+@dataclass(frozen=True)
+class Topic:
+    """Which changes wake a listener: those of these nouns and, with `noun_id`, of this one or of several at once."""
 
-    def __init__(self) -> None:
+    nouns: frozenset[str]
+    noun_id: uuid.UUID | None = None
+
+    def includes(self, notice: Notice) -> bool:
+        """Whether the listener is to be woken by this change."""
+        return notice.noun in self.nouns and (None in (self.noun_id, notice.id) or notice.id == self.noun_id)
+
+
+class Listener:
+    """What one stream or long poll has heard and not told yet; bounded."""
+
+    def __init__(self, topic: Topic | None = None) -> None:
+        self._topic = topic
         self._waiting: dict[Notice, None] = {}
         self._was_too_much = False
         self._was_missed = False
@@ -58,6 +73,8 @@ class Listener:
 
     def hear(self, notice: Notice) -> None:
         """Keep a notice until it is told; the same one again changes nothing."""
+        if self._topic is not None and not self._topic.includes(notice):
+            return
         if not self._was_too_much and not self._was_missed:
             self._waiting[notice] = None
             if len(self._waiting) > MOST_WAITING:
@@ -94,6 +111,7 @@ class Hub:
 
     def __init__(self) -> None:
         self._listeners: dict[Listener, uuid.UUID | None] = {}
+        self._long_polls: dict[Listener, uuid.UUID | None] = {}
         self._remembered: deque[Notice] = deque(maxlen=_REMEMBERED)
         self._count = 0
         self._era = secrets.token_hex(4)
@@ -134,19 +152,37 @@ class Hub:
         finally:
             del self._listeners[listener]
 
-    async def hear_of(self, listener: Listener, nouns: Collection[str], *, at_most_s: float) -> None:
-        """Wait until something of these nouns changed, or may have; until all is over; or until the time is."""
-        until = time.monotonic() + at_most_s
-        while not self.is_over and (left_s := until - time.monotonic()) > 0:
-            await listener.wait(left_s)
-            heard = listener.take(self.place)
-            if heard.was_too_much or heard.was_missed or any(each.noun in nouns for each in heard.notices):
-                return
+    @contextmanager
+    def long_poll(self, account_id: uuid.UUID | None, topic: Topic) -> Iterator[Listener]:
+        """Hear what changes of a topic from now on, in a request that waits for it.
+
+        Raises:
+            TooManyStreams: as many requests wait as one account gets of a process, or as all get together.
+        """
+        own = Counter(self._long_polls.values())[account_id]
+        if own >= MOST_LONG_POLLS or len(self._long_polls) >= _MOST_LONG_POLLS_OF_ALL:
+            raise TooManyStreams(most=MOST_LONG_POLLS)
+        listener = Listener(topic)
+        self._long_polls[listener] = account_id
+        try:
+            yield listener
+        finally:
+            del self._long_polls[listener]
+
+    async def next_change(self, listener: Listener, *, at_most_s: float) -> None:
+        """Wait until something of a long poll's topic changed, or may have; until all is over; or until the time is."""
+        if not self.is_over:
+            await listener.wait(at_most_s)
+            listener.take(self.place)
+
+    @property
+    def _all_listeners(self) -> list[Listener]:
+        return [*self._listeners, *self._long_polls]
 
     def end(self) -> None:
         """End all streams, soon."""
         self._over.set()
-        for listener in self._listeners:
+        for listener in self._all_listeners:
             listener.wake()
 
     async def rest(self, seconds: float) -> None:
@@ -162,14 +198,14 @@ class Hub:
         notice = read_notice(said)
         self._count += 1
         self._remembered.append(notice)
-        for listener in self._listeners:
+        for listener in self._all_listeners:
             listener.hear(notice)
 
     def begin_anew(self) -> None:
         """Note that something may have been missed: nobody is told of the time before."""
         self._era = secrets.token_hex(4)
         self._remembered.clear()
-        for listener in self._listeners:
+        for listener in self._all_listeners:
             listener.miss()
 
     def _since(self, after: str, listener: Listener) -> list[Notice]:

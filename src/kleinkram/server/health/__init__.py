@@ -1,1 +1,1 @@
-"""Health: is this process alive, is it ready to serve, what does it measure, and what is it."""
+"""Health: is this process alive, is it ready to serve, and what is it."""

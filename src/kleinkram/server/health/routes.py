@@ -1,21 +1,19 @@
-"""`/health/live`, `/health/ready`, `/metrics` and `/api/v1/service`."""
+"""`/health/live`, `/health/ready` and `/api/v1/service`."""
 
 import ipaddress
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
-from prometheus_client import CONTENT_TYPE_LATEST
 
 import kleinkram
-from kleinkram.contract.errors import NotFound
 from kleinkram.contract.people import ServiceRead, ViewerRead
-from kleinkram.server import measures
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
-from kleinkram.server.health.readiness import missing
+from kleinkram.server.health.proxy_check import seen
+from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent
 from kleinkram.server.settings import Settings
 
-# Probes and scrapes come without a token: whatever their number, they look no more often than this.
+# Probes come without a token: whatever their number, they look no more often than this.
 _HOLDS_S = 1
 
 probes = APIRouter(include_in_schema=False)
@@ -23,8 +21,10 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 
 
 @probes.get("/health/live")
-async def live() -> PlainTextResponse:
-    """Say that this process answers."""
+async def live(request: Request, settings: CurrentSettings) -> Response:
+    """Say that this process answers; to `check` also how its request reached it."""
+    if (found := seen(request, settings)) is not None:
+        return Response(found.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
 
 
@@ -32,25 +32,16 @@ async def live() -> PlainTextResponse:
 async def ready(
     request: Request, database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings
 ) -> PlainTextResponse:
-    """Say whether database, schema and store are all there; what is missing is for those who watch the server."""
+    """Say whether database, schema and store are all there; reasons and warnings are for those who watch the server."""
     state = request.app.state
     if not hasattr(state, "readiness"):
-        state.readiness = Recent(lambda: missing(database, storage), holds_s=_HOLDS_S)
-    reason: str | None = await state.readiness.get()
-    if reason is None:
-        return PlainTextResponse("ready\n")
-    return PlainTextResponse(f"{reason if _watches(request, settings) else 'not ready'}\n", status_code=503)
-
-
-@probes.get("/metrics")
-async def metrics(request: Request, database: CurrentDatabase, settings: CurrentSettings) -> Response:
-    """Give this process's measures in the Prometheus text format, to those who watch the server."""
-    if not _watches(request, settings):
-        raise NotFound(noun="page", ref="/metrics")
-    state = request.app.state
-    if not hasattr(state, "gauges"):
-        state.gauges = Recent(lambda: measures.look(database), holds_s=_HOLDS_S)
-    return Response(measures.exposition(await state.gauges.get()), media_type=CONTENT_TYPE_LATEST)
+        state.readiness = Recent(lambda: readiness(database, storage), holds_s=_HOLDS_S)
+    found: Readiness = await state.readiness.get()
+    shows = _watches(request, settings)
+    if found.missing is not None:
+        return PlainTextResponse(f"{found.missing if shows else 'not ready'}\n", status_code=503)
+    warnings = [f"warning: {each}\n" for each in found.warnings if shows]
+    return PlainTextResponse("".join(["ready\n", *warnings]))
 
 
 def _watches(request: Request, settings: Settings) -> bool:

@@ -2,7 +2,9 @@
 
 import logging
 import re
+import time
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 from procrastinate import JobContext
@@ -11,6 +13,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import KleinkramError
+from kleinkram.server import measures
 from kleinkram.server.jobs.context import site_of
 from kleinkram.server.site import Site
 from kleinkram.server.tables import job_error
@@ -22,14 +25,43 @@ _QUERY = re.compile(r"\?\S+")
 _PASSWORD = re.compile(r"(://[^\s/:@]*:)[^\s/@]+@")
 
 
-async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext, _worker: Worker) -> Any:
-    """Run a job; where it fails, keep why before the queue hears of it, whether it is tried again or not."""
+@dataclass
+class Attempts:
+    """What this process runs now: ids of jobs, and the queue's ids of its lanes, past ones among them."""
+
+    running: set[int] = field(default_factory=set)
+    lanes: set[int] = field(default_factory=set)
+
+
+async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext, worker: Worker) -> Any:
+    """Run a job and count it; where it fails, log and keep why, before the queue hears of it."""
+    job, began = context.job, time.monotonic()
+    outcome = "aborted"  # cancelled, unless something else comes first
+    attempts = context.additional_context.get("attempts")
+    if isinstance(attempts, Attempts) and job.id is not None and worker.worker_id is not None:
+        attempts.running.add(job.id)
+        attempts.lanes.add(worker.worker_id)
     try:
-        return await call_next()
+        answer = await call_next()
+        outcome = "succeeded"
+        return answer
     except Exception as error:
-        if context.job.id is not None:
-            await _keep(site_of(context), context.job.id, sentence_of(error))
+        retry = context.task.get_retry_exception(error, job)
+        outcome = "given_up" if retry is None else "failed"
+        sentence = sentence_of(error)
+        next_at = retry.retry_decision.retry_at if retry is not None else None
+        fields = {"job": job.task_name, "id": job.id, "ref": job.task_kwargs.get("ref"), "attempt": job.attempts + 1}
+        _log.warning(
+            f"job failed: {sentence}", extra={"fields": {**fields, "outcome": outcome, "next_attempt_at": next_at}}
+        )
+        if job.id is not None:
+            await _keep(site_of(context), job.id, sentence)
         raise
+    finally:
+        measures.JOB_ATTEMPTS.labels(job.task_name, outcome).inc()
+        measures.JOB_SECONDS.labels(job.task_name).observe(time.monotonic() - began)
+        if isinstance(attempts, Attempts) and job.id is not None:
+            attempts.running.discard(job.id)
 
 
 def sentence_of(error: Exception) -> str:

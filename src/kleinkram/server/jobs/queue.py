@@ -53,8 +53,9 @@ _DEFER = text(
 )
 
 _HASTEN = text(
-    "UPDATE procrastinate_jobs SET priority = :priority"
-    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref AND priority < :priority"
+    "UPDATE procrastinate_jobs SET priority = greatest(priority, :priority), scheduled_at = NULL"
+    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref"
+    " AND (priority < :priority OR scheduled_at > now())"
 )
 
 
@@ -68,7 +69,7 @@ async def enqueue(
 
 
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
-    """Put the job for one id, if it waits, before those that nobody waits for."""
+    """Put the job for one id, if it waits, before those that nobody waits for, also where it was to begin later."""
     await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
 
 

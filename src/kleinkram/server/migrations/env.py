@@ -1,10 +1,16 @@
 """Alembic's entry: one connection, one transaction, one migrator at a time."""
 
-from alembic import context
+from collections.abc import Collection, Mapping
+
+from alembic import context, op
+from alembic.runtime.migration import MigrationContext, MigrationInfo
+from alembic.script import Script
 from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
 from kleinkram.server.migrations.upgrading import LOCK
 from kleinkram.server.tables import metadata
+
+_FIRST_TO_SAY = "0027"
 
 
 def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
@@ -13,9 +19,26 @@ def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compar
     return not (about or "").startswith(("procrastinate", "idx_procrastinate"))
 
 
+def _write_compatible_from(
+    ctx: MigrationContext,
+    step: MigrationInfo,
+    heads: Collection[object],
+    run_args: Mapping[str, object],
+) -> None:
+    """Write which programs work on the schema after a step: none before it, unless its revision says otherwise."""
+    revision = step.up_revision
+    if step.is_upgrade and isinstance(revision, Script) and revision.revision >= _FIRST_TO_SAY:
+        oldest = getattr(revision.module, "compatible_from", revision.revision)
+        op.execute(text("UPDATE alembic_version SET compatible_from = :oldest").bindparams(oldest=oldest))
+
+
 def _migrate(connection: Connection) -> None:
     context.configure(
-        connection=connection, target_metadata=metadata, include_object=_ours, compare_server_default=True
+        connection=connection,
+        target_metadata=metadata,
+        include_object=_ours,
+        compare_server_default=True,
+        on_version_apply=_write_compatible_from,
     )
     with context.begin_transaction():
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})

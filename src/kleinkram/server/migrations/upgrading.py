@@ -16,7 +16,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, create_engine, pool, text
 from sqlalchemy.exc import DBAPIError
 
-from kleinkram.server.migrations import alembic_config
+from kleinkram.server.migrations import HEAD, alembic_config, later_schema_problem
 
 _log = logging.getLogger("kleinkram.migrations")
 # Others of this database's migrators wait for each other on it.
@@ -29,6 +29,10 @@ _IN_THE_WAY = (psycopg.errors.LockNotAvailable, psycopg.errors.DeadlockDetected)
 
 class MigrationBlocked(Exception):
     """Somebody kept a migration from its locks for too long. The text says what to do."""
+
+
+class SchemaTooNew(Exception):
+    """The database has a schema that this program neither knows nor works with. The text says what to do."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ def migrate(url: str, serving_role: str, patience: Patience = Patience()) -> lis
 
     Raises:
         MigrationBlocked: a lock could not be had for as long as patience lasts.
+        SchemaTooNew: a later version migrated the database, and this one does not work with its schema.
     """
     engine = create_engine(url, poolclass=pool.NullPool)
     try:
@@ -77,8 +82,22 @@ def _wait_for_others(connection: Connection) -> None:
 def _missing(connection: Connection, config: Config) -> list[str]:
     with connection.begin():
         at = MigrationContext.configure(connection).get_current_revision() or "base"
+        if at != "base" and at > HEAD:
+            return _nothing_to_do(connection, at)
     steps = ScriptDirectory.from_config(config).iterate_revisions("head", at)
     return [step.revision for step in reversed([*steps])]
+
+
+def _nothing_to_do(connection: Connection, at: str) -> list[str]:
+    oldest = connection.execute(text("SELECT compatible_from FROM alembic_version")).scalar_one()
+    problem = later_schema_problem(at, oldest)
+    if problem is not None:
+        raise SchemaTooNew(f"Nothing was changed: {problem}.")
+    _log.warning(
+        "the schema is later than this program, and compatible with it: nothing to do",
+        extra={"fields": {"revision": at}},
+    )
+    return []
 
 
 def _take(connection: Connection, config: Config, revision: str, patience: Patience) -> None:

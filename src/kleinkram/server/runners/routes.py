@@ -26,6 +26,7 @@ from kleinkram.contract.runners import (
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
+from kleinkram.server.http import mark_as_stream
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.runners import holding, service
 from kleinkram.server.uploads.artifacts import begin_artifacts
@@ -57,6 +58,7 @@ async def claim_run(
     runner_id: uuid.UUID, asked: ClaimAsk, request: Request, site: CurrentSite, actor: CurrentActor
 ) -> Claimed:
     """Ask for a run that fits what is free, and wait for one."""
+    mark_as_stream(request.scope)
     return await service.claim(site, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
 
 

@@ -35,7 +35,7 @@ from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub
+from kleinkram.server.events.hub import Hub, Topic
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.fitting import is_owners_alone
@@ -53,6 +53,7 @@ _SCOPES = {
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Between two looks where nothing was heard of: a lease that runs out tells nobody.
 _LOOK_EVERY_S = 5.0
+_QUEUE = Topic(frozenset({"run"}))
 _LEASE = datetime.timedelta(seconds=LEASE_S)
 # What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
 _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
@@ -95,16 +96,17 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
 
     Raises:
         NotFound: nobody of this person's is that runner: it must say hello first.
+        TooManyStreams: as many requests of this runner wait as it gets.
     """
     until = time.monotonic() + asked.wait_s
-    with hub.listening(None, after=None) as listener:
+    with hub.long_poll(runner_id, _QUEUE) as listener:
         while True:
             async with site.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
             if found is not None or left_s <= 0 or hub.is_over:
                 return Claimed(claim=found)
-            await hub.hear_of(listener, {"run"}, at_most_s=min(left_s, _LOOK_EVERY_S))
+            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
 
 
 async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimAsk) -> Claim | None:

@@ -10,7 +10,7 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.runs import LogPiece
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub
+from kleinkram.server.events.hub import Hub, Topic
 from kleinkram.server.runs import reading
 from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, log_segment, run
@@ -18,7 +18,7 @@ from kleinkram.server.tables.run import ACTIVE
 
 _PIECE_BYTES = 2**20
 _LOOK_EVERY_S = 5.0
-_SOON = {"run", "run_log"}
+_LOG_NOUNS = frozenset({"run", "run_log"})
 
 
 @dataclass(frozen=True)
@@ -39,24 +39,32 @@ async def read_log(site: Site, hub: Hub, actor: Actor, *, run_id: uuid.UUID, off
     Raises:
         NotFound: the run is not there, or not for this actor.
         StoreUnavailable: the store does not answer.
+        TooManyStreams: as many requests of this account wait as it gets.
     """
+    if not wait_s:
+        return await _read_now(site, actor, run_id, offset)
     until = time.monotonic() + wait_s
+    with hub.long_poll(actor.person_id or actor.share_id, Topic(_LOG_NOUNS, run_id)) as listener:
+        piece = await _read_now(site, actor, run_id, offset)
+        while not (piece.text or piece.is_over or hub.is_over) and (left_s := until - time.monotonic()) > 0:
+            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
+            async with hub.looking:  # however many wait, most connections are left to others
+                piece = await _read_now(site, actor, run_id, offset)
+        return piece
+
+
+async def _read_now(site: Site, actor: Actor, run_id: uuid.UUID, offset: int) -> LogPiece:
     missing: str | None = None
-    with hub.listening(None, after=None) as listener:
-        while True:
-            async with site.database.begin() as db:
-                place = await _find(db, actor, run_id, offset)
-            left_s = until - time.monotonic()
-            if place.length or place.is_over or left_s <= 0 or hub.is_over:
-                piece = await _piece(site, place, offset)
-                if piece is not None:
-                    return piece
-                # It may have been joined to the whole log just then: where it is now, the database says.
-                if missing == place.key:
-                    raise StoreUnavailable(reason="it does not have this piece of the log")
-                missing = place.key
-            else:
-                await hub.hear_of(listener, _SOON, at_most_s=min(left_s, _LOOK_EVERY_S))
+    while True:
+        async with site.database.begin() as db:
+            place = await _find(db, actor, run_id, offset)
+        piece = await _piece(site, place, offset)
+        if piece is not None:
+            return piece
+        # It may have been joined to the whole log just then: where it is now, the database says.
+        if missing == place.key:
+            raise StoreUnavailable(reason="it does not have this piece of the log")
+        missing = place.key
 
 
 async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:

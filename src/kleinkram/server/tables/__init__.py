@@ -25,6 +25,7 @@ from kleinkram.server.tables.signing_in import (
 )
 from kleinkram.server.tables.store_probe import store_probe
 from kleinkram.server.tables.upload import upload
+from kleinkram.server.tables.worker_process import worker_process
 
 __all__ = [
     "MOST_KEPT_TOPICS",
@@ -70,4 +71,5 @@ __all__ = [
     "topic",
     "topic_name",
     "upload",
+    "worker_process",
 ]

@@ -1,0 +1,111 @@
+"""`python -m kleinkram.server check`: what is right is said to be, and what is wrong is named with its remedy."""
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import urllib3
+
+from kleinkram.recordings import isolation
+from kleinkram.server import checks
+from kleinkram.server.health.proxy_check import HEADER, Seen, proof
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.ports import choose_port
+from tests.stack import RunningPostgres
+
+
+def _environment(api: Api) -> dict[str, str]:
+    settings = api.app.state.settings
+    parts = api.database.info
+    return {
+        "KLEINKRAM_DATABASE_URL": str(settings.database_url),
+        "KLEINKRAM_MIGRATION_DATABASE_URL": (
+            f"postgresql://{parts.user}:{parts.password}@{parts.host}:{parts.port}/{parts.dbname}"
+        ),
+        "KLEINKRAM_S3_INTERNAL_URL": settings.s3_internal_url,
+        "KLEINKRAM_S3_BUCKET": settings.s3_bucket,
+        "KLEINKRAM_S3_ACCESS_KEY": settings.s3_access_key,
+        "KLEINKRAM_S3_SECRET_KEY": settings.s3_secret_key.get_secret_value(),
+        "KLEINKRAM_PUBLIC_URL": api.url,
+    }
+
+
+def _check(environment: dict[str, str]) -> tuple[int, dict[str, Any]]:
+    ran = subprocess.run(
+        [sys.executable, "-m", "kleinkram.server", "check", "--json"],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "hunter22" not in ran.stdout + ran.stderr
+    return ran.returncode, {each["check"]: each for each in json.loads(ran.stdout)["checks"]}
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: StartApi) -> Api:
+    return start_api()
+
+
+def test_nothing_is_wrong_with_a_server_that_works(api: Api) -> None:
+    code, found = _check(_environment(api))
+    assert {name: each for name, each in found.items() if each["level"] == "problem"} == {}
+    assert code == 0
+    assert found["proof by the store"]["message"] == "It verifies crc64nvme."
+    assert found["reader"]["level"] == found["proxy headers"]["level"] == found["schema"]["level"] == "ok"
+    assert found["workers"]["level"] == "warning", "none runs"
+
+
+def test_a_wrong_bucket_and_a_misspelt_setting_are_named(api: Api) -> None:
+    environment = _environment(api)
+    code, found = _check({**environment, "KLEINKRAM_S3_BUCKET": "nowhere"})
+    assert code == 1
+    assert "there is no bucket 'nowhere'" in found["store"]["message"]
+    code, found = _check({**environment, "KLEINKRAM_TRUSTED_PROXY": "127.0.0.1"})
+    assert (code, "did you mean KLEINKRAM_TRUSTED_PROXIES" in found["settings"]["message"]) == (1, True)
+
+
+def test_one_role_for_all_and_a_service_that_is_away_are_named(api: Api, postgres: RunningPostgres) -> None:
+    environment = _environment(api)
+    owner = environment["KLEINKRAM_MIGRATION_DATABASE_URL"]
+    code, found = _check(
+        {**environment, "KLEINKRAM_DATABASE_URL": owner, "KLEINKRAM_SERVING_ROLE": "kleinkram_migrate"}
+    )
+    assert (code, found["serving role"]["level"]) == (1, "problem")
+    assert "audit record" in found["serving role"]["message"]
+    nowhere = f"postgresql://me:hunter22@127.0.0.1:{choose_port()}/kleinkram"
+    code, found = _check({**environment, "KLEINKRAM_DATABASE_URL": nowhere})
+    assert (code, found["database"]["level"]) == (1, "problem")
+
+
+def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(isolation, "CHILD_COMMAND", ("/nowhere/python",))
+    (found,) = checks._reader(api.app.state.settings)
+    assert (found.level, "No such file" in found.message) == (checks.Level.problem, True)
+
+
+@pytest.mark.parametrize(
+    ("said", "level", "words"),
+    [
+        ({}, "ok", "as 203.0.113.7"),
+        ({"is_trusted": False}, "problem", "KLEINKRAM_TRUSTED_PROXIES=10.0.0.3"),
+        ({"forwarded": False, "peer": "127.0.0.1"}, "problem", "does not send X-Forwarded-For"),
+        ({"scheme": "http"}, "problem", "X-Forwarded-Proto"),
+    ],
+)
+def test_what_a_proxy_leaves_out_is_named(api: Api, said: dict[str, Any], level: str, words: str) -> None:
+    seen = {"peer": "10.0.0.3", "is_trusted": True, "forwarded": True, "address": "203.0.113.7", "scheme": "https"}
+    settings = api.app.state.settings.model_copy(update={"public_url": "https://lab.example"})
+    found = checks._proxy(settings, Seen.model_validate({**seen, **said}))
+    assert (found.level.value, words in found.message + found.remedy) == (level, True)
+
+
+def test_how_a_request_came_in_is_told_to_who_has_the_settings_alone(api: Api) -> None:
+    url = f"{api.url}/health/live"
+    assert urllib3.request("GET", url, headers={HEADER: "guess"}).data == b"live\n"
+    told = urllib3.request("GET", url, headers={HEADER: proof(api.app.state.settings)}).json()
+    assert (told["peer"], told["forwarded"]) == ("127.0.0.1", False)

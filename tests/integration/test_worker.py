@@ -1,0 +1,173 @@
+"""The worker process through restarts of PostgreSQL: it goes on by itself, and nothing that it was doing is lost."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import psycopg
+import pytest
+import urllib3
+
+from kleinkram.server.migrations.upgrading import migrate
+from kleinkram.standalone import binaries, child
+from kleinkram.standalone import postgres as pg
+from tests.integration.uploading import wait_until
+from tests.ports import choose_port
+from tests.stack import RunningStore
+
+pytestmark = pytest.mark.timeout(400)
+_IN_WORKER = "SELECT count(*) FROM procrastinate_workers WHERE last_heartbeat > now() - interval '20 s'"
+
+
+@dataclass
+class _Cluster:
+    """A PostgreSQL of a test's own, which it may restart."""
+
+    cluster: pg.PostgresCluster
+    process: "subprocess.Popen[bytes]"
+
+    def restart(self, how: signal.Signals) -> None:
+        """End it as `pg_ctl stop -m fast` (SIGINT) or `-m immediate` (SIGQUIT) does, and start it again."""
+        child.stop(self.process, sign=how, timeout_s=30)
+        self.start()
+
+    def start(self) -> None:
+        self.process = pg.start(self.cluster, extra={"fsync": "off"})
+        wait_until(lambda: pg.is_ready(self.cluster, self.process), limit_s=120)
+
+    def sql(self, statement: str) -> str:
+        return pg.run_sql(self.cluster, statement, database=pg.DATABASE)
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Cluster]:
+    folder = tmp_path_factory.mktemp("pg")
+    folder.chmod(0o755)
+    passwords = pg.PostgresPasswords("admin", "migrate", "serve")
+    cluster = pg.PostgresCluster(
+        binaries=binaries.locate_postgres(),
+        data_dir=folder,
+        folder=folder / "postgres",
+        log=folder / "postgres.log",
+        port=choose_port(),
+        passwords=passwords,
+    )
+    pg.initialise(cluster)
+    running = _Cluster(cluster, pg.start(cluster, extra={"fsync": "off"}))
+    try:
+        wait_until(lambda: pg.is_ready(cluster, running.process), limit_s=120)
+        pg.prepare_database(cluster)
+        migrate(cluster.url(pg.MIGRATE).replace("://", "+psycopg://", 1), pg.SERVE)
+        yield running
+    finally:
+        child.stop(running.process, sign=signal.SIGQUIT, timeout_s=10)
+
+
+@dataclass
+class _Worker:
+    process: "subprocess.Popen[bytes]"
+    log: Path
+    metrics_port: int
+
+    def lines(self) -> list[dict[str, object]]:
+        return [json.loads(line) for line in self.log.read_text().splitlines()]
+
+    def metrics(self) -> str:
+        return urllib3.request("GET", f"http://127.0.0.1:{self.metrics_port}/metrics", timeout=20).data.decode()
+
+
+@contextlib.contextmanager
+def _working(database: _Cluster, store: RunningStore, log: Path) -> Iterator[_Worker]:
+    port = choose_port()
+    environment = {
+        "KLEINKRAM_DATABASE_URL": database.cluster.url(pg.SERVE),
+        "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
+        "KLEINKRAM_S3_ACCESS_KEY": store.access_key,
+        "KLEINKRAM_S3_SECRET_KEY": store.secret_key,
+        "KLEINKRAM_S3_BUCKET": "unused",
+        "KLEINKRAM_SCRUB_HOURS": "0",
+    }
+    with log.open("wb") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "kleinkram.server", "worker", "--metrics-port", str(port)],
+            env={**os.environ, **environment},
+            stderr=file,
+        )
+    try:
+        wait_until(lambda: _does_jobs(database), limit_s=120)
+        yield _Worker(process, log, port)
+    finally:
+        process.terminate()
+        try:
+            process.wait(60)
+        finally:
+            process.kill()
+
+
+def _does_jobs(database: _Cluster) -> bool:
+    """Say whether somebody works: the queue is watched by all lanes."""
+    try:
+        return database.sql(_IN_WORKER) >= "4"
+    except Exception:
+        return False
+
+
+def _defer(database: _Cluster, task: str) -> str:
+    insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, args) VALUES ('default',"
+    return database.sql(f"{insert} '{task}', '{{\"timestamp\": 0}}') RETURNING id")
+
+
+def _is_done(database: _Cluster, job_id: str) -> bool:
+    return database.sql(f"SELECT count(*) FROM procrastinate_jobs WHERE id = {job_id}") == "0"
+
+
+def test_a_worker_outlives_restarts_of_postgresql(database: _Cluster, store: RunningStore, tmp_path: Path) -> None:
+    with _working(database, store, tmp_path / "log") as worker:
+        for how in (signal.SIGINT, signal.SIGQUIT, signal.SIGQUIT):
+            database.restart(how)
+            job_id = _defer(database, "tend_runs")
+            wait_until(lambda job_id=job_id: _is_done(database, job_id), limit_s=120)  # type: ignore[misc]  # a default
+        # A connection may go by itself, such as the one that a lane listens on.
+        database.sql("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE query LIKE 'LISTEN%'")
+        job_id = _defer(database, "tend_runs")
+        wait_until(lambda: _is_done(database, job_id), limit_s=120)
+        assert worker.process.poll() is None
+        assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "1"
+        text = worker.metrics()
+        assert "kleinkram_workers 1.0" in text
+        assert 'kleinkram_job_attempts_total{outcome="succeeded",task="tend_runs"}' in text
+        assert any("the database went away" in str(line["message"]) for line in worker.lines())
+    assert worker.process.returncode == 0
+    assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "0"
+
+
+def test_a_worker_stops_when_asked_to_although_postgresql_is_away(
+    database: _Cluster, store: RunningStore, tmp_path: Path
+) -> None:
+    with _working(database, store, tmp_path / "log") as worker:
+        child.stop(database.process, sign=signal.SIGQUIT, timeout_s=30)
+        try:
+            worker.process.terminate()
+            assert worker.process.wait(120) == 0
+        finally:
+            database.start()
+
+
+@pytest.mark.slow
+def test_a_job_that_a_restart_cut_short_is_done_again(database: _Cluster, store: RunningStore, tmp_path: Path) -> None:
+    with _working(database, store, tmp_path / "log") as worker:
+        blocker = psycopg.connect(database.cluster.url(pg.ADMIN))
+        blocker.execute("LOCK TABLE run IN ACCESS EXCLUSIVE MODE")
+        job_id = _defer(database, "tend_runs")
+        doing = f"SELECT count(*) FROM procrastinate_jobs WHERE id = {job_id} AND status = 'doing'"
+        wait_until(lambda: database.sql(doing) == "1", limit_s=60)
+        database.restart(signal.SIGQUIT)
+        blocker.close()
+        wait_until(lambda: _is_done(database, job_id), limit_s=240)
+        assert worker.process.poll() is None

@@ -1,0 +1,116 @@
+"""Settings from the environment: nothing misspelt is ignored, and secrets may come from files."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kleinkram.server.environment import SettingsInvalid, known_variables, load_settings
+
+_REPOSITORY = Path(__file__).parents[3]
+_NEEDED = {
+    "DATABASE_URL": "postgresql://serve@db/kleinkram",
+    "S3_INTERNAL_URL": "http://store",
+    "S3_ACCESS_KEY": "key",
+    "S3_SECRET_KEY": "hunter22",
+}
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in _NEEDED.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+
+
+def _refusal() -> str:
+    with pytest.raises(SettingsInvalid) as raised:
+        load_settings()
+    return str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [("TRUSTED_PROXY", "TRUSTED_PROXIES"), ("TRASHDAYS", "TRASH_DAYS"), ("S3_SECRET", "S3_SECRET_KEY")],
+)
+def test_a_misspelt_setting_is_named_with_the_one_that_was_meant(
+    monkeypatch: pytest.MonkeyPatch, wrong: str, right: str
+) -> None:
+    monkeypatch.setenv(f"KLEINKRAM_{wrong}", "1")
+    assert f"KLEINKRAM_{wrong} is not a setting: did you mean KLEINKRAM_{right}?" in _refusal()
+
+
+def test_what_other_programs_read_and_orchestrators_set_is_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {
+        "TOKEN": "klein_x",
+        "DATA_DIR": "/data",
+        "TEST_INSTALL": "1",
+        "BACKUP_PASSPHRASE": "x",
+        "API_SERVICE_HOST": "10.0.0.1",
+        "API_PORT": "tcp://10.0.0.1:8000",
+        "API_PORT_8000_TCP_ADDR": "10.0.0.1",
+        "API_SERVICE_PORT_HTTP": "8000",
+    }.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+    assert load_settings().s3_bucket == "kleinkram"
+
+
+def test_every_variable_that_any_of_our_programs_reads_is_known() -> None:
+    named: set[str] = set()
+    for folder in ("src/kleinkram", "examples"):
+        for path in (_REPOSITORY / folder).rglob("*.py"):
+            named |= set(re.findall(r'"(KLEINKRAM_[A-Z0-9_]*[A-Z0-9])["=]', path.read_text(encoding="utf-8")))
+    assert len(named) > 10
+    assert named - set(known_variables()) == set()
+
+
+def test_all_that_is_wrong_is_said_at_once_by_the_names_that_one_sets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("KLEINKRAM_DATABASE_URL")
+    monkeypatch.setenv("KLEINKRAM_TRASH_DAYS", "-1")
+    monkeypatch.setenv("KLEINKRAM_TRASHDAYS", "1")
+    lines = _refusal().splitlines()
+    assert any(line.startswith("KLEINKRAM_DATABASE_URL is not set: PostgreSQL") for line in lines)
+    assert any(line.startswith("KLEINKRAM_TRASH_DAYS: ") for line in lines)
+    assert any(line.startswith("KLEINKRAM_TRASHDAYS is not") for line in lines)
+    assert len(lines) == 3
+    monkeypatch.setenv("KLEINKRAM_VIEWERS", "Lichtblick")
+    assert "KLEINKRAM_VIEWERS does not hold JSON." in _refusal()
+
+
+@pytest.mark.parametrize("command", ["migrate", "api", "worker"])
+def test_a_process_without_its_settings_says_a_sentence(command: str) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-m", "kleinkram.server", command], env={}, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 1
+    assert "KLEINKRAM_DATABASE_URL is not set" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_secrets_come_from_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("p@ss:w/d\n")
+    monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
+    monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", str(secret))
+    monkeypatch.setenv("KLEINKRAM_DATABASE_PASSWORD_FILE", str(secret))
+    providers = tmp_path / "providers"
+    providers.write_text('[{"name": "lab", "title": "Lab", "issuer": "https://id.example", "client_id": "k"}]')
+    monkeypatch.setenv("KLEINKRAM_OIDC_PROVIDERS_FILE", str(providers))
+    settings = load_settings()
+    assert settings.s3_secret_key.get_secret_value() == "p@ss:w/d"
+    assert str(settings.database_url) == "postgresql://serve:p%40ss%3Aw%2Fd@db/kleinkram"
+    assert settings.oidc_providers[0].name == "lab"
+
+
+def test_a_secret_s_file_is_there_and_the_only_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.touch()
+    monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", str(empty))
+    assert "KLEINKRAM_S3_SECRET_KEY and KLEINKRAM_S3_SECRET_KEY_FILE are both set" in _refusal()
+    monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
+    assert _refusal() == f"KLEINKRAM_S3_SECRET_KEY_FILE: {empty} is empty."
+    monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", str(tmp_path / "nowhere"))
+    assert "cannot be read (No such file or directory)" in _refusal()
+    monkeypatch.setenv("KLEINKRAM_TRASH_DAYS_FILE", str(empty))
+    assert "KLEINKRAM_TRASH_DAYS_FILE is not a setting" in _refusal(), "only secrets come from files"
