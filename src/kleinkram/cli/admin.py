@@ -113,6 +113,8 @@ def health(as_json: AsJson = False) -> None:
             ("database", f"PostgreSQL {told.database_version}, {size(told.database_bytes)}"),
             ("workers", len(told.workers_at) or "none is heard of: nothing is read, proven or swept"),
             ("heard of", ", ".join(moment(at) for at in told.workers_at)),
+            ("runs", told.runs_problem),
+            ("invitations", told.invitation_warning),
             ("store", f"proves by {told.store_checksum}"),
             ("overwrites", "the store refuses them" if told.store_writes_once else "the store takes them"),
             ("pages", "may send to the store" if told.store_takes_pages else "may not send to the store"),

@@ -65,7 +65,11 @@ class AdminJobs(_Told):
 
 
 class AdminHealth(_Told):
-    """How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of."""
+    """How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
+
+    `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+    `invitation_warning`: what stops once a second person has an account, and what to do before.
+    """
 
     not_ready: str | None
     version: str
@@ -75,6 +79,8 @@ class AdminHealth(_Told):
     now: datetime.datetime
     clock_skew_s: float
     workers_at: list[datetime.datetime]
+    runs_problem: str | None
+    invitation_warning: str | None
     store_checksum: str
     store_writes_once: bool
     store_takes_pages: bool

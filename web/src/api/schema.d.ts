@@ -2564,6 +2564,9 @@ export interface components {
         /**
          * AdminHealth
          * @description How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
+         *
+         *     `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+         *     `invitation_warning`: what stops once a second person has an account, and what to do before.
          */
         AdminHealth: {
             /** Clock Skew S */
@@ -2572,6 +2575,8 @@ export interface components {
             database_bytes: number;
             /** Database Version */
             database_version: string;
+            /** Invitation Warning */
+            invitation_warning: string | null;
             /** Not Ready */
             not_ready: string | null;
             /**
@@ -2579,6 +2584,8 @@ export interface components {
              * Format: date-time
              */
             now: string;
+            /** Runs Problem */
+            runs_problem: string | null;
             /** Schema Version */
             schema_version: string;
             /** Store Checksum */
@@ -3232,7 +3239,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -4361,7 +4368,7 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
@@ -4387,7 +4394,7 @@ export interface components {
         };
         /**
          * OneTimeLink
-         * @description A link that is good once, until then.
+         * @description A link that is good once, until then. `warning`: what its use changes for others, and what to do before.
          */
         OneTimeLink: {
             /**
@@ -4397,6 +4404,8 @@ export interface components {
             expires_at: string;
             /** Url */
             url: string;
+            /** Warning */
+            warning?: string | null;
         };
         /**
          * Overview
@@ -16410,7 +16419,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: no_inputs, file_unavailable. */
+            /** @description A failure, by its code: no_inputs, no_runner, file_unavailable. */
             409: {
                 headers: {
                     [name: string]: unknown;

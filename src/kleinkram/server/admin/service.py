@@ -29,6 +29,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import missing
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
+from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 
@@ -102,6 +103,8 @@ async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
         server = (await db.execute(queries.SERVER)).one()
         here = datetime.datetime.now(datetime.timezone.utc)
         workers = (await db.execute(queries.WORKERS)).scalars().all()
+        known, alone = await known_runners(db), await is_owners_alone(db)
+        queued = (await db.execute(queries.queued_runs())).all()
     return AdminHealth(
         not_ready=not_ready,
         version=kleinkram.__version__,
@@ -111,6 +114,8 @@ async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
         now=here,
         clock_skew_s=(here - server.now).total_seconds(),
         workers_at=list(workers),
+        runs_problem=runs_problem(queued, known, owners_alone=alone),
+        invitation_warning=invitation_warning(known, owners_alone=alone),
         store_checksum=site.storage.checksum.value,
         store_writes_once=site.storage.abilities.writes_once,
         store_takes_pages=takes_pages,
