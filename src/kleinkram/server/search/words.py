@@ -49,6 +49,8 @@ Conditions = list[ColumnElement[bool]]
 MOST_WORDS = 20
 # Places of one kind that are named.
 _MOST = 500
+# Message types that are looked through for a word; those after them in order are found by `type:` alone.
+_MOST_TYPES = 5_000
 # Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
 _FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
 # A word without three letters or digits on end has no trigram to be looked up by.
