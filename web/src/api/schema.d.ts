@@ -4254,8 +4254,18 @@ export interface components {
         /**
          * MissionTemplate
          * @description What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
+         *
+         *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
+         *     stand in comments. Dates, weather and operator are not among them.
          */
         MissionTemplate: {
+            /**
+             * Carried
+             * @default {}
+             */
+            carried: {
+                [key: string]: components["schemas"]["JsonValue"];
+            };
             fields: components["schemas"]["MetadataFields"];
             prefilled_from: components["schemas"]["MissionRef"] | null;
             /** Values */
