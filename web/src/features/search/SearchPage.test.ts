@@ -5,6 +5,7 @@ import { createMemoryHistory, createRouter } from "vue-router";
 import SearchPage from "./SearchPage.vue";
 
 const PAUSE_MS = 350;
+vi.setConfig({ testTimeout: 60_000 }); // the first mounting of a whole page takes long on a busy machine
 /** Answers of the search by its text; those that are missing are still on their way. */
 const answers = new Map<string, { status: number; body: unknown }>();
 let waiting: { query: string; resolve: (response: Response) => void }[] = [];
