@@ -31,7 +31,7 @@ function respond(request: Request): Promise<Response> {
 async function page() {
   const router = createRouter({ history: createMemoryHistory(), routes: [{ path: "/:rest(.*)*", name: "search", component: SearchPage }] });
   await router.push("/search?q=alps");
-  const client = new QueryClient({ defaultOptions: { queries: { retry: false } } });
+  const client = new QueryClient({ defaultOptions: { queries: { retry: false, staleTime: 30_000 } } });
   const wrapper = mount(SearchPage, {
     global: { plugins: [router, [VueQueryPlugin, { queryClient: client }]], stubs: { DataTable: true, RouterLink: { template: "<a><slot /></a>" } } },
   });
