@@ -20,7 +20,7 @@ from kleinkram.cli.options import (
     read_text,
     the_ref,
 )
-from kleinkram.cli.render import line, note, show_json, show_json_list
+from kleinkram.cli.render import escape, line, note, show_json, show_json_list
 from kleinkram.cli.units import size
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput

@@ -1,4 +1,4 @@
-"""Writing the YAML to fill in for a project's next mission: every field explained, with what the last one said. Pure."""
+"""Writing the YAML to fill in for the next mission of a project: each field with what the last one said. Pure."""
 
 import json
 import re
