@@ -127,6 +127,8 @@ def health(as_json: AsJson = False) -> None:
             ("database", f"PostgreSQL {told.database_version}, {size(told.database_bytes)}"),
             ("workers", f"{len(told.workers_at)} processes" if len(told.workers_at) != 1 else "1 process"),
             ("heard of", moment(told.worker_last_at) if told.worker_last_at else "never"),
+            ("runs", told.runs_problem),
+            ("invitations", told.invitation_warning),
             ("store", f"proves by {told.store_checksum}"),
             ("overwrites", "the store refuses them" if told.store_writes_once else "the store takes them"),
             ("pages", "may send to the store" if told.store_takes_pages else "may not send to the store"),

@@ -80,6 +80,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.QuotaExceeded: ExitCode.no_room,
     remote.RunGone: ExitCode.conflict,
     remote.NoInputs: ExitCode.not_found,
+    remote.NoRunner: ExitCode.conflict,
     remote.MethodNotAllowed: ExitCode.server_failed,
     remote.StoreUnavailable: ExitCode.unreachable,
     remote.DatabaseUnavailable: ExitCode.unreachable,

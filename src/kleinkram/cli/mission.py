@@ -20,7 +20,7 @@ from kleinkram.cli.options import (
     read_text,
     the_ref,
 )
-from kleinkram.cli.render import line, note, show_json, show_json_list
+from kleinkram.cli.render import escape, line, note, show_json, show_json_list
 from kleinkram.cli.units import count, size
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput
@@ -147,15 +147,15 @@ def template(
     project: ProjectOption = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print the metadata YAML to fill in for a project's next mission, prefilled from the last."""
+    """Print the metadata YAML to fill in for a project's next mission; values of the last one stand in comments."""
     with connect() as client:
         found = client.projects.get(the_ref("project", name, project))
         form = client.projects.template(found.id)
     if as_json:
         show_json(form)
         return
-    if form.prefilled_from is not None:
-        note(f"Prefilled from {form.prefilled_from.name}.")
+    if form.prefilled_from is not None and form.carried:
+        note(f"Values of {escape(form.prefilled_from.name)} stand in comments: write those that hold again.")
     for each in form.yaml.rstrip("\n").split("\n"):
         line(each)
 

@@ -115,6 +115,8 @@ def _show_link(made: OneTimeLink, as_json: bool) -> None:
         return
     line(made.url)
     note(f"Good once, until {moment(made.expires_at)}. Whoever has it can use it.")
+    if made.warning:
+        note(escape(f"Warning: {made.warning}"))
 
 
 def _show(person: PersonRead, as_json: bool) -> None:

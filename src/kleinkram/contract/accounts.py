@@ -136,10 +136,11 @@ class CodeRead(_Told):
 
 
 class OneTimeLink(_Told):
-    """A link that is good once, until then."""
+    """A link that is good once, until then. `warning`: what its use changes for others, and what to do before."""
 
     url: str = Field(repr=False)
     expires_at: datetime.datetime
+    warning: str | None = None
 
 
 class InvitationCreate(_Asked):

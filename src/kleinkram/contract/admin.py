@@ -90,6 +90,8 @@ class AdminHealth(_Told):
 
     `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
     when each worker process that is alive was last heard of; `worker_last_at`: when any was.
+    `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+    `invitation_warning`: what stops once a second person has an account, and what to do before.
     """
 
     not_ready: str | None
@@ -102,6 +104,8 @@ class AdminHealth(_Told):
     clock_skew_s: float
     workers_at: list[datetime.datetime]
     worker_last_at: datetime.datetime | None
+    runs_problem: str | None
+    invitation_warning: str | None
     store_checksum: str
     store_writes_once: bool
     store_takes_pages: bool

@@ -46,6 +46,8 @@ class Need(str, enum.Enum):
     files_broken = "files_broken"
     files_unread = "files_unread"
     files_recovered = "files_recovered"
+    runs_cannot_start = "runs_cannot_start"
+    runs_failed = "runs_failed"
     metadata_missing = "metadata_missing"
     scrub_stopped = "scrub_stopped"
     proofs_late = "proofs_late"

@@ -108,13 +108,18 @@ class MissionRead(BaseModel):
 
 
 class MissionTemplate(BaseModel):
-    """What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with."""
+    """What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
+
+    `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
+    stand in comments. Dates, weather and operator are not among them.
+    """
 
     model_config = ConfigDict(frozen=True)
 
     yaml: str
     fields: MetadataFields
     values: Metadata
+    carried: Metadata = {}
     prefilled_from: MissionRef | None
 
 

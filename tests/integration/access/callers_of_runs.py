@@ -9,16 +9,20 @@ from tests.integration.access.world import ACTION, Asker
 
 _DELETE = 4
 _NOBODY = "00000000-0000-0000-0000-000000000001"
+_CAPACITY = {"cores": 64, "memory_bytes": 2**40, "disk_bytes": 2**40, "gpus": 0}
 _FREE = {"cores": 1, "memory_bytes": 1, "disk_bytes": 1, "gpus": 0}
 _SUMS = {"sha256": "0" * 64, "crc64nvme": "0" * 16, "md5": "0" * 32}
 
 
 def _hello(_: Asker) -> Any:
-    abilities = {"executor": "process", "isolation": "none", "images": False, "networks": [], "gpus": False}
+    # One that could do the runs of the matrix: with several accounts, runs without containers are refused.
+    networks = ["none", "api", "open"]
+    abilities = {"executor": "docker", "isolation": "container", "images": True, "networks": networks, "gpus": False}
     return {
         "id": str(uuid.uuid4()),
         "name": "runner",
-        "capacity": _FREE,
+        "capacity": _CAPACITY,
+        "stock_image": "sha256:stock",
         "abilities": abilities | {"bounds_memory": False, "bounds_disk": False},
         "version": "0",
     }

@@ -196,26 +196,32 @@ def test_the_template_is_valid_once_the_required_fields_are_filled_in(api: Api) 
     assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 12.5}
 
 
-def test_the_template_takes_over_the_last_mission(api: Api) -> None:
+def test_the_template_suggests_what_the_last_mission_said_and_fills_nothing_in(api: Api) -> None:
     project = api.project(fields_yaml=FIELDS)
     api.mission(project["id"], metadata_yaml="robot: anymal\noperator: bob\n")
     text = 'robot: spot\noperator: ada\nday: 2024-05-31\nsite: {latitude: 1, longitude: 2, name: "a: b # c 🗻"}\n'
     last = api.mission(project["id"], metadata_yaml=text)
     template = api.get(f"/projects/{project['id']}/template").ok()
     assert template["prefilled_from"]["id"] == last["id"]
-    without_its_day = {name: value for name, value in last["metadata"].items() if name != "day"}
-    assert template["values"] == without_its_day
-    assert api.mission(project["id"], metadata_yaml=template["yaml"])["metadata"] == without_its_day
+    assert template["values"] == {"temperature": 12.5}, "what the project itself says to begin with"
+    assert template["carried"] == {key: last["metadata"][key] for key in ("robot", "site")}
+    assert f"#   In mission {last['name']}: spot\nrobot:\n" in template["yaml"]
+    assert ": ada" not in template["yaml"]
+    body = {"name": "unread", "metadata_yaml": template["yaml"]}
+    problem = api.post(f"/projects/{project['id']}/missions", body).refused(422, "metadata_invalid")
+    assert {each["field"] for each in problem["problems"]} == {"robot", "operator"}
 
 
-def test_the_template_leaves_out_what_no_longer_fits_and_keeps_what_was_not_declared(api: Api) -> None:
+def test_the_template_leaves_out_what_no_longer_fits_and_suggests_what_was_not_declared(api: Api) -> None:
     project = api.project()
     api.mission(project["id"], metadata_yaml='robot: husky\n"on: #1": [a, {b: "true"}]\n')
     fields = "fields:\n  - {name: robot, type: choice, choices: [spot]}\n"
     api.patch(f"/projects/{project['id']}", {"fields_yaml": fields}).ok()
     template = api.get(f"/projects/{project['id']}/template").ok()
-    made = api.mission(project["id"], metadata_yaml=template["yaml"])
-    assert made["metadata"] == {"on: #1": ["a", {"b": "true"}]}
+    assert template["carried"] == {"on: #1": ["a", {"b": "true"}]}
+    assert api.mission(project["id"], metadata_yaml=template["yaml"])["metadata"] == {}
+    taken = template["yaml"].replace('# "on: #1":', '"on: #1":')
+    assert api.mission(project["id"], metadata_yaml=taken)["metadata"] == {"on: #1": ["a", {"b": "true"}]}
 
 
 def test_hints_are_few_and_cheap_however_much_is_wrong(api: Api) -> None:
@@ -296,9 +302,9 @@ def test_a_template_is_a_form_too(api: Api) -> None:
     assert [field["name"] for field in form["fields"]["fields"]][:2] == ["robot", "operator"]
     assert form["values"] == {"temperature": 12.5}
     api.mission(project_id, metadata={"robot": "spot", "operator": "ada"})
-    values = api.get(f"/projects/{project_id}/template").ok()["values"]
-    assert values == {"robot": "spot", "operator": "ada", "temperature": 12.5}
-    api.mission(project_id, metadata=values)
+    suggested = api.get(f"/projects/{project_id}/template").ok()
+    assert (suggested["values"], suggested["carried"]) == ({"temperature": 12.5}, {"robot": "spot"})
+    api.mission(project_id, metadata=suggested["carried"] | {"operator": "bob"})
 
 
 @pytest.mark.parametrize("text", ["robot: spot\r\n# noted by hand\r\nsite: a\r\n", "\ufeffrobot: spot\n"])

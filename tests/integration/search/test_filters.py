@@ -129,6 +129,20 @@ def test_missions(api: Api, project: Any, query: dict[str, str], found: str) -> 
     assert " ".join(item["name"] for item in items) == found
 
 
+@pytest.mark.parametrize("by", ["project_id", "project"])
+def test_missions_are_counted_within_their_project(api: Api, by: str) -> None:
+    few, many = api.project(), api.project()
+    for project in (few, many, many, many):
+        api.mission(project["id"])
+    reader = people.person(api)
+    for project in (few, many):
+        people.grant(api, reader, Right.read, project_id=project["id"])
+    for who in (api, api.as_(reader.token)):
+        for project, count in ((few, 1), (many, 3)):
+            wanted = {by: project["id"] if by == "project_id" else project["name"], "count": "true", "limit": "1"}
+            assert who.get("/missions", wanted).ok()["total"] == count
+
+
 def test_a_project_may_be_given_by_name_or_glob(api: Api, project: Any) -> None:
     assert len(api.all("/files", {"project": project["name"].upper()})) == 3
     assert len(api.all("/files", {"project": project["name"][:20] + "*"})) == 3

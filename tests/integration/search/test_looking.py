@@ -246,6 +246,7 @@ def _spread(start_api: StartApi) -> tuple[Api, str]:
             sample.file(mission, "a.mcap", topics=[{"name": "/imu"}])
         sample.file(by_field, f"{word}_{number}.mcap")
         sample.file(by_field, "topic.mcap", topics=[{"name": f"/{word}/{number}"}])
+        sample.file(by_field, "type.mcap", topics=[{"name": "/odd", "message_type": f"lab/msg/{word}{number}"}])
         sample.file(by_field, "label.mcap", labels=(f"of {word}",))
     api.mission(plain, name=f"empty {word}")
     return api, word
@@ -261,9 +262,9 @@ def test_however_much_was_looked_up_the_same_is_found(
     monkeypatch.setattr(few if name == "_FEW" else words, name, value)
     monkeypatch.setattr(words, "_FILES_DRAWN", 5)
     monkeypatch.setattr(words, "_MISSIONS_DRAWN", 5)
-    asked = ((word, 18, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
+    asked = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
     for query, files, missions in asked:
-        found = api.get("/search", {"query": query}).ok()
+        found = api.get("/search", {"query": query, "limit": "50"}).ok()
         assert (found["files"]["total"], found["missions"]["total"]) == (files, missions), query
         assert len(found["files"]["items"]) == files
         assert len(found["missions"]["items"]) == missions

@@ -66,6 +66,9 @@ def _names(page: Any, name: str = "name") -> list[str]:
         ("", [FRONT, LOG, REAR]),
         ("alps imu", [FRONT]),
         ('"green hills"', [FRONT, LOG]),
+        ("sensor_msgs", [FRONT, REAR]),
+        ("Msg/Image alps", [FRONT]),
+        ("-Image", [LOG]),
         ('"hills green"', []),
         ("topic:/cam/*", [FRONT, REAR]),
         ("topic:/cam/* type:*/Imu", []),
@@ -113,6 +116,7 @@ def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
         ("alps", ["Alps", "Alps, empty"]),
         ("imu", ["Alps", "Lake"]),
         ("rained", ["Alps"]),
+        ("sensor_msgs", ["Alps", "Lake"]),
         ("meta.robot:spot", ["Alps, empty", "Lake"]),
         ("meta.robot:spot label:wet", []),
         ("label:wet", ["Alps"]),
@@ -137,6 +141,8 @@ def test_a_query_finds_topics_once_each(lab: Api) -> None:
     ]
     assert topics["total"] == 4
     assert _names(_found(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
+    of_type = _found(lab, "image")["topics"]["items"]
+    assert [each["name"] for each in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
     assert _found(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
     assert _found(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
 

@@ -68,7 +68,7 @@ await dialog.getByRole("button", { name: "Sign out everywhere" }).click();
 await ada.waitForURL((url) => url.pathname === "/sign-in");
 await ada.close();
 
-// A mission, whose form begins with what the last one said, and says beside each field what is wrong with it: by itself,
+// A mission, whose form marks what the last one said until it is confirmed, and says beside each field what is wrong with it: by itself,
 // then by the server's word.
 const { page: owner } = await somebody(() => mayRefuse);
 await owner.goto(link);
@@ -77,8 +77,11 @@ await owner.goto(`${address}/projects/${project}`);
 await owner.getByRole("button", { name: "New mission" }).click();
 const form = owner.getByRole("dialog");
 const make = form.getByRole("button", { name: "Make the mission" });
-await form.getByText("Prefilled from the mission taken.").waitFor();
+await form.getByText("Some values are those of the mission taken.").waitFor();
 seen.prefilled = await Promise.all([/^robot/, /^operator/, /^day/].map((name) => form.getByLabel(name).inputValue()));
+await make.click();
+seen.unconfirmed = await wrongWith(owner, /^robot/);
+await look(owner, "mission-new-unconfirmed");
 await form.getByLabel(/^robot/).selectOption("");
 await make.click();
 seen.nameMissing = await wrongWith(owner, /^Name · required/);

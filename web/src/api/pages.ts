@@ -8,6 +8,8 @@ export interface Rows<Item> {
   readonly rows: ComputedRef<readonly Item[]>;
   /** How many there are in all, where the server was asked to count; null while that is not known. */
   readonly total: ComputedRef<number | null>;
+  /** Whether the rows are of an earlier question, and stay in sight until those of this one are there. */
+  readonly isOld: ComputedRef<boolean>;
   readonly hasMore: ComputedRef<boolean>;
   readonly isLoading: ComputedRef<boolean>;
   readonly isLoadingMore: ComputedRef<boolean>;
@@ -32,7 +34,8 @@ export function usePages<Item>(
   });
   return {
     rows: computed(() => query.data.value?.pages.flatMap((page) => page.items) ?? []),
-    total: computed(() => query.data.value?.pages[0]?.total ?? null),
+    total: computed(() => (query.isPlaceholderData.value ? null : (query.data.value?.pages[0]?.total ?? null))),
+    isOld: computed(() => query.isPlaceholderData.value),
     hasMore: computed(() => query.hasNextPage.value),
     isLoading: computed(() => query.isPending.value),
     isLoadingMore: computed(() => query.isFetchingNextPage.value),

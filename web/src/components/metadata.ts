@@ -75,6 +75,18 @@ export function judge(fields: MetadataFields, values: Values): FieldProblem[] {
   });
 }
 
+/** Values of an earlier mission that a form begins with: they hold only once somebody has confirmed or changed them. */
+export interface Carried {
+  /** What the earlier mission is called. */
+  readonly from: string;
+  readonly values: Values;
+}
+
+/** Returns what a form begins with: what is said of itself, and what an earlier mission said, which is unconfirmed. */
+export function beginning(values: Values, carried: Carried): { values: Values; unconfirmed: ReadonlySet<string> } {
+  return { values: { ...values, ...carried.values }, unconfirmed: new Set(Object.keys(carried.values)) };
+}
+
 /** Returns the names of the values that no field declares, in their order. */
 export function undeclared(fields: MetadataFields, values: Values): string[] {
   const declared = new Set(fields.fields.map((field) => field.name));

@@ -5,6 +5,7 @@ export type FailureCode =
   | "not_readable_here"
   | "compression_unknown"
   | "too_large"
+  | "compressed_whole"
   | "chunk_damaged"
   | "index_damaged"
   | "topic_unknown"

@@ -12,6 +12,11 @@ export const MOST_READ_AT_ONCE = 96 * MIB;
 export const MOST_UNPACKED = 128 * MIB;
 /** Decompressed chunks that overlap in time and so are held together. */
 export const MOST_HELD = 384 * MIB;
+/** A file that is compressed as a whole, as it is stored, and decompressed into memory. */
+export const MOST_WHOLE_PACKED = 64 * MIB;
+export const MOST_WHOLE_UNPACKED = 256 * MIB;
+/** Damaged parts that are named. */
+export const MOST_DAMAGED = 100;
 /** Read ahead while a curve reads chunk after chunk. */
 export const READ_AHEAD = 4 * MIB;
 /** What a curve reads before it asks. */

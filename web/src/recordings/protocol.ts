@@ -48,6 +48,12 @@ export interface Opened {
   topics: { name: string; messageType: string }[];
 }
 
+/** A part of the recording that could not be read, in seconds since its start. */
+export interface DamagedPart {
+  fromSeconds: number;
+  toSeconds: number;
+}
+
 export interface ShownPicture {
   logTimeNs: bigint;
   bitmap: ImageBitmap;
@@ -56,6 +62,8 @@ export interface ShownPicture {
   /** How it is written: "image/jpeg", "rgb8" … */
   encoding: string;
   range: [number, number] | null;
+  /** Parts that were passed over on the way to it. */
+  damaged: DamagedPart[];
 }
 
 export interface OfferedFields {
@@ -65,6 +73,7 @@ export interface OfferedFields {
 export interface DrawnCurves extends Curves {
   /** What the whole span costs to read, and until when was read (less than asked where that is too much). */
   wholeBytes: number;
+  damaged: DamagedPart[];
   untilNs: bigint;
 }
 

@@ -15,6 +15,11 @@ export interface ByteSource {
   read(offset: number, length: number): Promise<Uint8Array>;
 }
 
+/** A source that can be told to read at least `ahead` bytes at once; for reading on and on. */
+export interface Source extends ByteSource {
+  ahead: number;
+}
+
 export interface RangesOptions {
   sizeBytes: number;
   /** Asks for an address; called again when one has expired. */
@@ -29,7 +34,7 @@ const RENEW_BEFORE_MS = 30_000;
 const EXPIRED = new Set([400, 401, 403]);
 
 /** A file in the store. Not for use by several readers at once: it keeps one signal and one way of reading ahead. */
-export class Ranges implements ByteSource {
+export class Ranges implements Source {
   readonly sizeBytes: number;
   /** Bytes that came over the network. */
   bytesRead = 0;

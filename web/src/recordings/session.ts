@@ -3,18 +3,20 @@
 import { CurveCollector } from "./curves/curves";
 import { decoderOf } from "./decoding/decoder";
 import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
-import type { Decode } from "./decoding/value";
+import type { Decode, Value } from "./decoding/value";
 import { ReadFailure } from "./failures";
 import { cost } from "./formats/recording";
-import type { Message, Piece, Recording, Schema, Span } from "./formats/recording";
-import { READ_AHEAD } from "./limits";
+import type { Message, OnDamage, Order, Piece, Recording, Schema, Span } from "./formats/recording";
+import { MOST_DAMAGED, READ_AHEAD } from "./limits";
 import { pictureOf } from "./pictures/picture";
 import type { Picture } from "./pictures/picture";
-import type { CurvesRequest, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
+import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
 
 export interface FoundPicture {
   logTimeNs: bigint;
   picture: Picture;
+  /** Parts between what was asked for and this that could not be read. */
+  damaged: DamagedPart[];
 }
 
 /** What a long reading tells, and how it is ended. */
@@ -42,21 +44,28 @@ export class Session {
   /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */
   async picture({ topic, atNs, step }: PictureRequest): Promise<FoundPicture> {
     const span = this.span(topic);
+    const noticed = new Damages(span.fromNs);
     const after = { fromNs: step === "next" ? atNs + 1n : atNs, toNs: span.toNs };
     const before = { fromNs: span.fromNs, toNs: step === "previous" ? atNs - 1n : atNs };
     const message =
       step === "previous"
-        ? ((await this.first(topic, before, "backward")) ?? (await this.first(topic, span, "forward")))
-        : ((await this.first(topic, after, "forward")) ?? (await this.first(topic, span, "backward")));
-    if (message === null) throw new ReadFailure("topic_silent");
-    return { logTimeNs: message.logTimeNs, picture: pictureOf(this.decoder(message.schema)(message.data)) };
+        ? ((await this.first(topic, before, "backward", noticed)) ?? (await this.first(topic, span, "forward", noticed)))
+        : ((await this.first(topic, after, "forward", noticed)) ?? (await this.first(topic, span, "backward", noticed)));
+    if (message === null) throw noticed.first ?? new ReadFailure("topic_silent");
+    const picture = pictureOf(this.decoder(message.schema)(message.data));
+    return { logTimeNs: message.logTimeNs, picture, damaged: noticed.parts };
   }
 
-  /** The numeric fields of the topic's first message. */
+  /** The numeric fields of the topic's first message that can be read. */
   async fields(topic: string): Promise<OfferedFields> {
-    const message = await this.first(topic, this.span(topic), "forward");
-    if (message === null) throw new ReadFailure("topic_silent");
-    return { fields: fieldTree(this.decoder(message.schema)(message.data)) };
+    const span = this.span(topic);
+    const noticed = new Damages(span.fromNs);
+    for await (const message of this.recording.messages(topic, span, "forward", noticed.note)) {
+      const value = this.decodeOrNote(message, noticed);
+      if (value !== null) return { fields: fieldTree(value) };
+      if (noticed.parts.length >= MOST_DAMAGED) break;
+    }
+    throw noticed.first ?? new ReadFailure("topic_silent");
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `mostBytes` reach. */
@@ -68,13 +77,14 @@ export class Session {
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
     const collector = new CurveCollector(paths.length, seconds(span.fromNs), seconds(span.toNs));
-    const drawn = (): DrawnCurves => ({ ...collector.curves(), wholeBytes: cost(pieces), untilNs: span.toNs });
+    const noticed = new Damages(start, (part) => collector.breakAt((part.fromSeconds + part.toSeconds) / 2));
+    const drawn = (): DrawnCurves => ({ ...collector.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
     let told = Date.now();
     try {
-      for await (const message of this.recording.messages(request.topic, span, "forward")) {
-        const value = this.decoder(message.schema)(message.data);
-        collector.add(seconds(message.logTimeNs), paths.map((path) => numberAt(value, path)));
+      for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
+        const value = this.decodeOrNote(message, noticed);
+        collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
         if (Date.now() - told < TELL_EVERY_MS) continue;
         onCurves(drawn());
         await breath(); // lets a cancellation in
@@ -84,7 +94,9 @@ export class Session {
     } finally {
       this.recording.source.ahead = 0;
     }
-    return drawn();
+    const last = drawn();
+    if (last.messages === 0 && noticed.first !== null) throw noticed.first;
+    return last;
   }
 
   private span(topic: string): Span {
@@ -93,9 +105,20 @@ export class Session {
     return this.recording.span;
   }
 
-  private async first(topic: string, span: Span, order: "forward" | "backward"): Promise<Message | null> {
-    for await (const message of this.recording.messages(topic, span, order)) return message;
+  private async first(topic: string, span: Span, order: Order, noticed: Damages): Promise<Message | null> {
+    for await (const message of this.recording.messages(topic, span, order, noticed.note)) return message;
     return null;
+  }
+
+  private decodeOrNote(message: Message, noticed: Damages): Value | null {
+    const decode = this.decoder(message.schema);
+    try {
+      return decode(message.data);
+    } catch (thrown) {
+      if (!(thrown instanceof ReadFailure) || thrown.code !== "message_damaged") throw thrown;
+      noticed.note({ fromNs: message.logTimeNs, toNs: message.logTimeNs, failure: thrown });
+      return null;
+    }
   }
 
   private decoder(schema: Schema): Decode {
@@ -112,6 +135,25 @@ export class Session {
     const share = Number(last.toNs - first.fromNs) / Math.max(1, Number(whole.toNs - whole.fromNs));
     return cost(pieces) > DENSE * share * this.recording.source.sizeBytes;
   }
+}
+
+/** What could not be read while one question was answered, in seconds since the recording's start. */
+class Damages {
+  readonly parts: DamagedPart[] = [];
+  first: ReadFailure | null = null;
+
+  constructor(
+    private readonly startNs: bigint,
+    private readonly onPart: (part: DamagedPart) => void = () => undefined,
+  ) {}
+
+  readonly note: OnDamage = ({ fromNs, toNs, failure }) => {
+    this.first ??= failure;
+    const [fromSeconds, toSeconds] = [fromNs, toNs].map((timeNs) => Number(timeNs - this.startNs) / SECOND_NS) as [number, number];
+    const part = { fromSeconds, toSeconds };
+    this.onPart(part);
+    if (this.parts.length < MOST_DAMAGED) this.parts.push(part);
+  };
 }
 
 /** The beginning of the span that can be read with so many bytes: at least one piece. */

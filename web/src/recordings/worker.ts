@@ -75,11 +75,11 @@ function progress(id: number, curves: (FromWorker & { type: "progress" })["curve
   return { type: "progress", id, curves };
 }
 
-async function bitmapOf({ logTimeNs, picture }: FoundPicture): Promise<ShownPicture> {
+async function bitmapOf({ logTimeNs, picture, damaged }: FoundPicture): Promise<ShownPicture> {
   if (picture.kind === "raw") {
     const { width, height, rgba, range } = pixelsOf(picture);
     const bitmap = await createImageBitmap(new ImageData(rgba, width, height));
-    return { logTimeNs, bitmap, width, height, encoding: picture.encoding, range };
+    return { logTimeNs, bitmap, width, height, encoding: picture.encoding, range, damaged };
   }
   checkCompressed(picture);
   let bitmap: ImageBitmap;
@@ -88,7 +88,7 @@ async function bitmapOf({ logTimeNs, picture }: FoundPicture): Promise<ShownPict
   } catch {
     throw new ReadFailure("picture_unreadable", picture.mime);
   }
-  return { logTimeNs, bitmap, width: bitmap.width, height: bitmap.height, encoding: picture.mime, range: null };
+  return { logTimeNs, bitmap, width: bitmap.width, height: bitmap.height, encoding: picture.mime, range: null, damaged };
 }
 
 function renew(): Promise<Address> {

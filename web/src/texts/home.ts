@@ -10,6 +10,8 @@ const needs: Readonly<Record<Need, (count: number) => string>> = {
   files_broken: (count) => `${counted(count, "file")} broken`,
   files_unread: (count) => `${counted(count, "file")} could not be read`,
   files_recovered: (count) => `${counted(count, "file")} damaged or never closed`,
+  runs_cannot_start: (count) => `${counted(count, "run")} queued that no runner can start`,
+  runs_failed: (count) => `${counted(count, "action")} failed`,
   metadata_missing: (count) => `${counted(count, "value")} of metadata missing or wrong`,
   scrub_stopped: () => "The store looks like another one: nothing was compared with it",
   proofs_late: (count) => `${counted(count, "file")} not proven in time`,

@@ -1,6 +1,7 @@
 // What is said of looking into recordings.
 import { counted, formatSize } from "@/components/format";
 import type { FailureCode } from "@/recordings/failures";
+import type { DamagedPart } from "@/recordings/protocol";
 
 interface Told {
   /** What is wrong. */
@@ -22,6 +23,10 @@ export const failures: Readonly<Record<FailureCode, Told>> = {
   too_large: {
     title: (detail) => `A part of this recording is too large to hold in a browser${/^\d+$/.test(detail) ? ` (${formatSize(Number(detail))})` : ""}`,
     remedy: DOWNLOAD,
+  },
+  compressed_whole: {
+    title: (detail) => `This file is compressed as a whole (${formatSize(Number(detail))}): all of it must be read and decompressed to see any of it, which is more than a browser can hold`,
+    remedy: "Download it and run `zstd -d` on it, or read it with the Python SDK. A recording with compressed chunks inside, such as MCAP with zstd, can be looked into here whatever its size.",
   },
   chunk_damaged: { title: (detail) => `This part of the recording is damaged${INSIDE(detail)}`, remedy: "Try another time or topic: other parts may be whole." },
   index_damaged: { title: (detail) => `The index of this recording is damaged${INSIDE(detail)}`, remedy: DOWNLOAD },
@@ -92,6 +97,14 @@ export const texts = {
   mostFields: (count: number) => `At most ${count} at once.`,
   cancel: "Cancel",
   again: "Try again",
+  damaged: (parts: readonly DamagedPart[]) => {
+    const [first] = parts;
+    if (first === undefined) return "";
+    const span = first.toSeconds - first.fromSeconds < 0.001 ? `at ${first.fromSeconds.toFixed(3)} s` : `from ${first.fromSeconds.toFixed(3)} s to ${first.toSeconds.toFixed(3)} s`;
+    return parts.length === 1
+      ? `A part of this recording is damaged and left out: ${span}.`
+      : `${counted(parts.length, "part")} of this recording are damaged and left out, the first ${span}.`;
+  },
   partial: (seconds: string, whole: number) => `This is the beginning, up to ${seconds}. All of it needs ${formatSize(whole)} to be read.`,
   readAll: (whole: number) => `Read all ${formatSize(whole)}`,
   points: (messages: number, isWhole: boolean) =>

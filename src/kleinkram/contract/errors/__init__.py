@@ -38,7 +38,7 @@ from kleinkram.contract.errors.rights import (
     ScopeMissing,
     TokenTooWide,
 )
-from kleinkram.contract.errors.runs import NoInputs, RunGone
+from kleinkram.contract.errors.runs import NoInputs, NoRunner, RunGone
 from kleinkram.contract.errors.server import (
     DatabaseUnavailable,
     InternalError,
@@ -88,6 +88,7 @@ __all__ = [
     "NameLeased",
     "NameTaken",
     "NoInputs",
+    "NoRunner",
     "NotAuthenticated",
     "NotFound",
     "PathConflict",

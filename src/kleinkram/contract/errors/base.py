@@ -51,6 +51,7 @@ class ErrorCode(str, enum.Enum):
     quota_exceeded = "quota_exceeded"
     run_gone = "run_gone"
     no_inputs = "no_inputs"
+    no_runner = "no_runner"
     method_not_allowed = "method_not_allowed"
     store_unavailable = "store_unavailable"
     database_unavailable = "database_unavailable"

@@ -23,3 +23,13 @@ class NoInputs(KleinkramError):
     mission: str
     action: str
     wanted: str
+
+
+@dataclass(eq=False)
+class NoRunner(KleinkramError):
+    """The action {action} was not started, because it would wait for ever. {reason}"""
+
+    code = ErrorCode.no_runner
+    status = 409
+    action: str
+    reason: str

@@ -10,7 +10,7 @@ NONE_AT_ALL = "{}"
 
 @dataclass(frozen=True)
 class Said:
-    """Where a word is said: ids of projects, missions and files, names of topics; None where these are not named.
+    """Where a word is said: ids of projects, missions and files, names and types of topics; None where not named.
 
     Where it `is_general` it stands for any word of which as much is known: `word` is only what its values are called,
     and `is_escaped` whether JSON writes it otherwise than it is.
@@ -21,13 +21,15 @@ class Said:
     mission_ids: str | None = None
     file_ids: str | None = None
     topics: str | None = None
+    types: str | None = None
     is_general: bool = False
     is_escaped: bool = False
 
     @property
     def is_nowhere(self) -> bool:
         """Whether nothing at all holds the word."""
-        return {self.project_ids, self.mission_ids, self.file_ids, self.topics} == {NONE_AT_ALL}
+        known = {self.project_ids, self.mission_ids, self.file_ids, self.topics, self.types}
+        return known == {NONE_AT_ALL}
 
 
 @dataclass(frozen=True)

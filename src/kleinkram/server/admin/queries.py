@@ -4,7 +4,9 @@ from typing import Any
 
 from sqlalchemy import Select, exists, func, select, text
 
-from kleinkram.server.tables import blob, file, mission, project, upload
+from kleinkram.contract.runs import RunState
+from kleinkram.server.runners.fitting import Needs
+from kleinkram.server.tables import blob, file, mission, project, run, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 
 _SUM = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
@@ -37,6 +39,14 @@ SERVER = text(
     "SELECT clock_timestamp() AS now, current_setting('server_version') AS version,"
     " pg_database_size(current_database()) AS size_bytes"
 )
+
+
+def queued_runs() -> Select[Any]:
+    """Return what queued runs need of a runner, under the names of `Needs`, and how many need the same."""
+    needs = [run.c[name] for name in Needs._fields]
+    live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
+    joined = select(*needs, func.count().label("number")).join_from(run, mission).join(project)
+    return joined.where(*live).group_by(*needs).order_by(func.count().desc()).limit(200)
 
 
 def blobs_by_state() -> Select[Any]:

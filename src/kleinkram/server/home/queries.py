@@ -5,10 +5,13 @@ from typing import Any
 from sqlalchemy import Select, func, select, text, union
 
 from kleinkram.contract.files import BlobState
+from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.tables import blob, file, mission, project, scrub, upload
+from kleinkram.server.runners.fitting import Needs
+from kleinkram.server.runs.queries import visible_runs
+from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
 
@@ -17,6 +20,8 @@ _AILS = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('broken', '
 # Among the files that came last, where something arrived; and the missions that were made last.
 _LAST_FILES = 2000
 _PROOF_PATIENCE = text("interval '2 days'")
+_SAY_HOW_IT_IS = (RunState.done.value, RunState.failed.value)
+_FAILED_LATELY = text("interval '7 days'")
 
 
 def recent_missions(actor: Actor, *, limit: int) -> Select[Any]:
@@ -81,6 +86,38 @@ def unsatisfied_missions(actor: Actor, *, limit: int) -> Select[Any]:
     named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
     stmt = visible_missions(actor).with_only_columns(*named, number.label("number"), maintain_column_froms=True)
     return stmt.where(number > 0).order_by(mission.c.created_at.desc(), mission.c.id).limit(limit)
+
+
+def failed_runs(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return how many actions failed on each mission in the last days, where that was the last they said, most first.
+
+    An action is the same by its name, so that a script that was mended and run again from its folder counts as well.
+    """
+    later, its_version = run.alias("later"), action_version.alias("its_version")
+    name, later_name = action_version.c.definition["name"], its_version.c.definition["name"]
+    said_since = (
+        select(later.c.id)
+        .join(its_version, its_version.c.id == later.c.version_id)
+        .where(later.c.mission_id == run.c.mission_id, later_name == name)
+        .where((later.c.created_at > run.c.created_at) & later.c.state.in_(_SAY_HOW_IT_IS))
+    )
+    named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+    stmt = visible_runs(actor).with_only_columns(*named, func.count().label("number"), maintain_column_froms=True)
+    lately = run.c.ended_at > func.now() - _FAILED_LATELY
+    stmt = stmt.where(run.c.state == RunState.failed.value, lately, ~said_since.exists())
+    return (
+        stmt.group_by(mission.c.id, project.c.id).order_by(func.max(run.c.ended_at).desc(), mission.c.id).limit(limit)
+    )
+
+
+def queued_runs(actor: Actor, *, limit: int) -> Select[Any]:
+    """Return what queued runs need of a runner, under the names of `Needs`, and how many do so on each mission."""
+    needs = [run.c[name] for name in Needs._fields]
+    named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+    number = func.count().label("number")
+    stmt = visible_runs(actor).with_only_columns(*named, *needs, number, maintain_column_froms=True)
+    stmt = stmt.where(run.c.state == RunState.queued.value).group_by(mission.c.id, project.c.id, *needs)
+    return stmt.order_by(number.desc(), mission.c.id).limit(limit)
 
 
 def storage_by_project(actor: Actor, *, limit: int) -> Select[Any]:

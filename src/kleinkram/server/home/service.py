@@ -22,10 +22,13 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.home import queries
+from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_never
 from kleinkram.server.settings import Settings
 from kleinkram.server.site import Site
 
 _MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20
+# Kinds of queued runs that are looked at; one kind is one action on one mission.
+_QUEUED = 200
 _STORE_PATIENCE_S = 2.0
 # As `klein doctor` says.
 _LOW_BYTES, _LOW_SHARE = 5 * 1024**3, 0.02
@@ -85,14 +88,27 @@ def _disk(settings: Settings) -> tuple[int, int] | None:
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
     ailing = (await db.execute(queries.ailing_files(actor, limit=_AILING))).all()
     lacking = (await db.execute(queries.unsatisfied_missions(actor, limit=_AILING))).all()
+    failed = (await db.execute(queries.failed_runs(actor, limit=_AILING))).all()
     counts: dict[tuple[Need, MissionRef], int] = {}
     for row in ailing:
         what = (_OF_STATE.get(row.state) or _OF_CONTENT[row.content], _mission(row))
         counts[what] = counts.get(what, 0) + row.number
+    for row in await _runs_that_cannot_start(db, actor):
+        what = (Need.runs_cannot_start, _mission(row))
+        counts[what] = counts.get(what, 0) + row.number
     found = [Attention(need=need, count=count, mission=where) for (need, where), count in counts.items()]
+    found += [Attention(need=Need.runs_failed, count=row.number, mission=_mission(row)) for row in failed]
     found += [Attention(need=Need.metadata_missing, count=row.number, mission=_mission(row)) for row in lacking]
     order = list(Need)
     return sorted(found, key=lambda each: order.index(each.need))
+
+
+async def _runs_that_cannot_start(db: Connection, actor: Actor) -> list[Row[Any]]:
+    queued = (await db.execute(queries.queued_runs(actor, limit=_QUEUED))).all()
+    if not queued:
+        return []
+    known, alone = await known_runners(db), await is_owners_alone(db)
+    return [row for row in queued if why_never(row, known, owners_alone=alone) is not None]
 
 
 async def _of_server(db: Connection, settings: Settings) -> list[Attention]:

@@ -144,7 +144,9 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
 @functools.lru_cache(maxsize=KEPT)
 def listed(asked: Asked[MissionFilter], sort: MissionSort, page: PageRequest) -> Listed:
     """Return the list of the visible missions that match, as `to_missions` reads them, for all pages `alike`."""
-    counted = narrow_missions(asked.actor, add_up_missions(asked.actor, func.count()), asked.matching)
+    # Filters may be about the project: without the join they would stand beside it and narrow nothing.
+    every = add_up_missions(asked.actor, func.count()).join(project, project.c.id == mission.c.project_id)
+    counted = narrow_missions(asked.actor, every, asked.matching)
     return replace(list_matching(asked.actor, asked.matching, None, sort, page), counted=counted)
 
 

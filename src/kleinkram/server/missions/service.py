@@ -36,7 +36,7 @@ from kleinkram.server.editions import require_edition
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
-from kleinkram.server.missions.template import prefilled, write_template
+from kleinkram.server.missions.template import carried_over, defaults, write_template
 from kleinkram.server.pages import PageRequest, cut, fetch_listed
 from kleinkram.server.quotas.service import require_room_for_mission
 from kleinkram.server.search.asked import asked_alike, values
@@ -269,7 +269,7 @@ async def rejudge_missions(db: Connection, project_id: uuid.UUID, fields: Metada
 
 
 async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> MissionTemplate:
-    """Return what to fill in for a project's next mission, and the mission it is prefilled from.
+    """Return what to fill in for a project's next mission, and the mission whose values are suggested.
 
     Raises:
         NotFound: the project is not there, or not for this actor.
@@ -278,11 +278,13 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     last: Row[Any] | None = None
     if sees_whole_missions(actor):
         last = (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
-    values = prefilled(fields, last.metadata if last else {})
+    values = defaults(fields)
+    carried = carried_over(fields, last.metadata) if last else {}
     return MissionTemplate(
-        yaml=write_template(fields, values, project=name, source=last.name if last else None),
+        yaml=write_template(fields, values, carried, project=name, source=last.name if last else None),
         fields=fields,
         values=values,
+        carried=carried,
         prefilled_from=queries.to_mission_ref(last) if last else None,
     )
 

@@ -1,4 +1,4 @@
-"""Writing the YAML to fill in for a project's next mission: every field explained, prefilled where possible. Pure."""
+"""Writing the YAML to fill in for the next mission of a project: each field with what the last one said. Pure."""
 
 import json
 import re
@@ -11,36 +11,69 @@ from kleinkram.server.yaml_text import resolve_plain
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*( [A-Za-z0-9_.-]+)*")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+_DATED = re.compile(r"\d{4}-\d{2}-\d{2}([T ].*)?")
+# Fields that say what differs from one mission to the next, whatever their type.
+_OF_ONE_MISSION = frozenset({"date", "day", "time", "weather", "operator", "operators", "driver", "pilot"})
+_NAME_PARTS = re.compile(r"[a-z]+|[A-Z][a-z]*")
 
 
-def prefilled(fields: MetadataFields, last: Metadata) -> Metadata:
-    """Return the values to begin with: those of the last mission that still fit, else defaults.
+def defaults(fields: MetadataFields) -> Metadata:
+    """Return the values that the project itself says to begin with."""
+    judge = Judge(fields)
+    values = {field.name: judge.accept_default(field) for field in fields.fields}
+    return {name: value for name, value in values.items() if value is not None}
 
-    A date is not taken over: it would be the wrong one, and nobody would be asked for theirs.
+
+def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
+    """Return the values of the last mission that still fit. Whoever makes the next mission has to confirm them.
+
+    Dates, weather and operator are left out: they differ, and a wrong one would look as if somebody had entered it.
     """
     judge = Judge(fields)
-    values = {field.name: _prefilled(judge, field, last.get(field.name)) for field in fields.fields}
-    declared = {name.casefold() for name in values}
-    others = {key: value for key, value in last.items() if key.casefold() not in declared}
-    kept = {name: value for name, value in values.items() if value is not None}
-    return kept | (others if fields.undeclared is Undeclared.accept else {})
+    begun = defaults(fields)
+    declared = {field.name: field for field in fields.fields}
+    known = {name.casefold() for name in declared}
+    found: Metadata = {}
+    for name, value in last.items():
+        field = declared.get(name)
+        if value is None or _differs(name, value) or (field is not None and field.type is FieldType.date):
+            continue
+        if field is not None:
+            try:
+                found[name] = judge.accept(name, value)
+            except Wrong:
+                continue
+        elif fields.undeclared is Undeclared.accept and name.casefold() not in known:
+            found[name] = value
+    return {name: value for name, value in found.items() if begun.get(name) != value}
 
 
-def write_template(fields: MetadataFields, values: Metadata, *, project: str, source: str | None) -> str:
+def _differs(name: str, value: JsonValue) -> bool:
+    parts = {part.lower() for part in _NAME_PARTS.findall(name)}
+    return not parts.isdisjoint(_OF_ONE_MISSION) or (isinstance(value, str) and _DATED.fullmatch(value) is not None)
+
+
+def write_template(
+    fields: MetadataFields, values: Metadata, carried: Metadata, *, project: str, source: str | None
+) -> str:
     """Return a document that parses, and that satisfies the fields once the required ones are filled in.
 
-    `values` are those to begin with, and `source` is the name of the mission that they were taken from.
+    `values` are those to begin with. `carried` are those of the mission called `source`: they stand in comments, so
+    that nothing of an earlier mission is taken over unless somebody writes it.
     """
-    origin = f", prefilled from mission {source}" if source is not None else ""
-    lines = [f"# Metadata of a mission in project {_comment(project)}{_comment(origin)}."]
+    lines = [f"# Metadata of a mission in project {_comment(project)}."]
     lines.append("# Fill in what is required; what is optional may stay empty or be deleted.")
+    mission = _comment(source or "")
     for field in fields.fields:
-        lines += ["", *_explained(field), _line(field.name, values.get(field.name))]
+        lines += ["", *_explained(field)]
+        if field.name in carried:
+            lines.append(f"#   In mission {mission}: {_yaml(carried[field.name])}")
+        lines.append(_line(field.name, values.get(field.name)))
     declared = {field.name for field in fields.fields}
-    others = {key: value for key, value in values.items() if key not in declared}
+    others = {key: value for key, value in carried.items() if key not in declared}
     if others:
-        lines += ["", "# Not declared by the project, but given for the last mission:"]
-        lines += [_line(key, value) for key, value in others.items()]
+        lines += ["", f"# Not declared by the project, but given for mission {mission}. Remove the # to say it again:"]
+        lines += [f"# {_line(key, value)}" for key, value in others.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -48,15 +81,6 @@ def _explained(field: MetadataField) -> list[str]:
     need = "required" if field.required else "optional"
     lines = [f"# {field.name} ({need}): {_comment(describe(field))}"]
     return lines + [f"#   {_comment(line)}" for line in field.description.splitlines() if line.strip()]
-
-
-def _prefilled(judge: Judge, field: MetadataField, last: JsonValue) -> JsonValue:
-    if last is not None and field.type is not FieldType.date:
-        try:
-            return judge.accept(field.name, last)
-        except Wrong:
-            return judge.accept_default(field)
-    return judge.accept_default(field)
 
 
 def _line(key: str, value: JsonValue) -> str:

@@ -147,7 +147,7 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 
 
 async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:
-    """Return what to fill in for the next mission, prefilled from the last one.
+    """Return what to fill in for the next mission, with what the last one said.
 
     Raises:
         NotFound: the project is not there, or not for this actor.

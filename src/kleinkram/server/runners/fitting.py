@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Row, Select, func, select
 
@@ -12,6 +12,14 @@ from kleinkram.server.db import Connection
 from kleinkram.server.tables import person, runner
 
 _ALIVE = datetime.timedelta(seconds=LEASE_S)
+# A runner that is switched off for a weekend comes back; one that was silent for longer is not counted on.
+_EXPECTED_BACK = datetime.timedelta(days=7)
+_MOST_NAMED = 3
+_REMEDY = "Start a runner that has what the run needs with `klein runner start`, or ask for less in the action."
+CONTAINERS_REMEDY = (
+    "Install Docker or Podman on the runner's machine and restart the runner (of `klein up`: `klein down`, then "
+    "`klein up`), or start a runner on a machine that has it with `klein runner start`."
+)
 
 
 def is_alive() -> Any:
@@ -35,17 +43,40 @@ async def is_owners_alone(db: Connection) -> bool:
     return bool((await db.execute(active)).scalar_one() <= 1)
 
 
+async def known_runners(db: Connection) -> Sequence[Row[Any]]:
+    """Return the runners seen in the last week, with `is_alive`: those on which a queued run may still start."""
+    expected = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
+    return (await db.execute(select(runner, is_alive().label("is_alive")).where(expected))).all()
+
+
+class Needs(NamedTuple):
+    """What a run needs of a runner, under the names of the columns of `run`."""
+
+    labels: Sequence[str]
+    needs_images: bool
+    network: str
+    cores: float
+    memory_bytes: int
+    disk_bytes: int
+    gpus: int
+
+
 def runs_scripts(each: Row[Any], abilities: Abilities) -> bool:
     """Say whether a runner has what scripts run on: an image for that, where it runs images; its own Python, else."""
     return not abilities.images or each.stock_image is not None
 
 
-def refusal(run: Row[Any], each: Row[Any], *, owners_alone: bool) -> str | None:
+def is_for_owner_only(abilities: Abilities) -> bool:
+    """Say whether a runner isolates runs too weakly for a server on which several people have accounts."""
+    return abilities.isolation is not Isolation.container
+
+
+def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str | None:
     """Return why a runner could never do a run; None where it could, once enough of it is free."""
     abilities = Abilities.model_validate(each.abilities)
     capacity = Capacity.model_validate(each.capacity)
-    if abilities.isolation is not Isolation.container and not owners_alone:
-        return f"it runs actions as {abilities.executor}, which is only for a server with nobody but its owner"
+    if is_for_owner_only(abilities) and not owners_alone:
+        return "it runs actions without containers, which is allowed only while one person alone has an account"
     if lacking := sorted(set(run.labels) - set(each.labels)):
         return f"it has no label {lacking[0]}"
     if run.needs_images and not abilities.images:
@@ -56,24 +87,71 @@ def refusal(run: Row[Any], each: Row[Any], *, owners_alone: bool) -> str | None:
         return f"its runs cannot have the network {run.network!r}"
     if run.gpus and not abilities.gpus:
         return "it gives no GPUs to runs"
-    wanted = {"cores": run.cores, "memory_bytes": run.memory_bytes, "disk_bytes": run.disk_bytes, "gpus": run.gpus}
-    for name, amount in wanted.items():
-        most = getattr(capacity, name)
+    for name in ("cores", "memory_bytes", "disk_bytes", "gpus"):
+        amount, most = getattr(run, name), getattr(capacity, name)
         if amount > most:
             return f"it has {most:g} {name.removesuffix('_bytes')} and {amount:g} are asked for"
     return None
 
 
-def why_waiting(run: Row[Any], runners: Collection[Row[Any]], *, owners_alone: bool) -> str:
+def why_never(run: Row[Any] | Needs, known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+    """Return why no known runner can ever do a run, and what to do about it.
+
+    None where one can, and where no runner is known yet: then a run waits for the first.
+    """
+    reasons = [(each, refusal(run, each, owners_alone=owners_alone)) for each in known]
+    if not reasons or any(reason is None for _, reason in reasons):
+        return None
+    # First the runners with the labels that the run asks for: what those lack is what can be mended.
+    ordered = sorted(reasons, key=lambda pair: (not set(run.labels) <= set(pair[0].labels), pair[0].name))
+    listed = "; ".join(f"{each.name}: {reason}" for each, reason in ordered[:_MOST_NAMED])
+    remedy = _REMEDY
+    if not owners_alone and any(is_for_owner_only(Abilities.model_validate(each.abilities)) for each in known):
+        remedy = CONTAINERS_REMEDY
+    return f"No runner can do it ({listed}). {remedy}"
+
+
+def why_waiting(run: Row[Any], known: Collection[Row[Any]], *, owners_alone: bool) -> str:
     """Return, as a sentence, why a run that is queued has not begun."""
-    if not runners:
+    if not known:
         return "No runner is there. Start one with `klein runner start`."
-    reasons = {each.name: refusal(run, each, owners_alone=owners_alone) for each in runners}
-    able = [name for name, reason in reasons.items() if reason is None]
-    if able:
-        return f"It waits for its turn with {' or '.join(sorted(able)[:3])}."
-    # Those that are called as it asks for first: what they lack is what can be mended.
-    lacking = {each.name for each in runners if set(run.labels) - set(each.labels)}
-    ordered = sorted(reasons.items(), key=lambda each: (each[0] in lacking, each[0]))
-    told = "; ".join(f"{name}: {reason}" for name, reason in ordered[:3])
-    return f"No runner that is there can do it ({told})."
+    never = why_never(run, known, owners_alone=owners_alone)
+    if never is not None:
+        return never
+    able = [each for each in known if refusal(run, each, owners_alone=owners_alone) is None]
+    alive = sorted(each.name for each in able if each.is_alive)
+    if alive:
+        return f"It waits for its turn with {' or '.join(alive[:_MOST_NAMED])}."
+    names = " or ".join(sorted(each.name for each in able)[:_MOST_NAMED])
+    return f"It waits for {names}, which is not running. Start it again, or another with `klein runner start`."
+
+
+def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+    """Return why runs cannot start, and what to do: of those queued, else of the plainest script; None where all can.
+
+    `queued` says by `number` how many runs need the same.
+    """
+    stuck = [(row.number, why_never(row, known, owners_alone=owners_alone)) for row in queued]
+    reasons = [(number, reason) for number, reason in stuck if reason is not None]
+    if reasons:
+        count = sum(number for number, _ in reasons)
+        runs = "1 queued run can" if count == 1 else f"{count} queued runs can"
+        return f"{runs} never start. {reasons[0][1]}"
+    if owners_alone or not known:
+        return None
+    if all(is_for_owner_only(Abilities.model_validate(each.abilities)) for each in known):
+        plain = Needs([], needs_images=False, network=Network.none.value, cores=0, memory_bytes=0, disk_bytes=0, gpus=0)
+        return f"Actions cannot be run. {why_never(plain, known, owners_alone=owners_alone)}"
+    return None
+
+
+def invitation_warning(known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+    """Return what stops once a second person has an account; None where nothing does."""
+    weak = sorted(each.name for each in known if is_for_owner_only(Abilities.model_validate(each.abilities)))
+    if not owners_alone or not weak:
+        return None
+    names = " and ".join(weak[:_MOST_NAMED])
+    return (
+        f"Once a second person has an account, actions no longer run on {names}: without containers they are safe "
+        f"only for one person. {CONTAINERS_REMEDY}"
+    )

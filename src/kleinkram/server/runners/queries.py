@@ -6,10 +6,10 @@ from typing import Any
 
 from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, func, literal, or_, select
 
-from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, Isolation, RunnerRead
+from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, RunnerRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.pages import Order
-from kleinkram.server.runners.fitting import is_alive, runs_scripts
+from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts
 from kleinkram.server.tables import action, action_version, mission, project, run, runner
 from kleinkram.server.tables.run import HELD
 
@@ -72,7 +72,7 @@ def unheard_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[A
 def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[Any] | None:
     """Return the oldest run in the queue that fits what a runner has free, locked; None where it may do none."""
     abilities = Abilities.model_validate(row.abilities)
-    if abilities.isolation is not Isolation.container and not owners_alone:
+    if is_for_owner_only(abilities) and not owners_alone:
         return None
     free = asked.free
     fits = (

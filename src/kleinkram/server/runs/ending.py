@@ -60,6 +60,7 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
         Forbidden: they hold less on its mission than the action asks for.
         NoInputs: no file of it is an input any more.
         FileUnavailable: an input is lost or corrupt.
+        NoRunner: none of the runners can ever do it.
     """
     row = await reading.run_row(db, actor, run_id)
     task = await launching.task_of(db, row.version_id, row.parameters)

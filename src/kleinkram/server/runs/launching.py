@@ -17,6 +17,7 @@ from kleinkram.contract.errors import (
     InvalidRequest,
     KleinkramError,
     NoInputs,
+    NoRunner,
     NotFound,
     to_problem,
 )
@@ -38,7 +39,7 @@ from kleinkram.server.access.visible import level_on_mission, visible_files, vis
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
-from kleinkram.server.runners.fitting import alive_runners
+from kleinkram.server.runners.fitting import Needs, alive_runners, is_owners_alone, known_runners, why_never
 from kleinkram.server.runs import reading
 from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
@@ -60,6 +61,8 @@ class Task:
     # Of whose missions alone it is; null for those of all.
     project_id: uuid.UUID | None
     parameters: ParameterValues
+    # Why no runner can ever do it, and the remedy; null where one can.
+    why_never: str | None
 
 
 async def launch(db: Connection, actor: Actor, *, wanted: RunsCreate) -> RunsMade:
@@ -88,7 +91,8 @@ async def task_of(db: Connection, version_id: uuid.UUID, parameters: ParameterVa
     stmt = select(action_version, action.c.project_id).outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(stmt.where(action_version.c.id == version_id))).one()
     definition = ActionDefinition.model_validate(row.definition)
-    return Task(version_id, definition, row.image_digest, row.project_id, parameters)
+    reason = await _why_never(db, definition)
+    return Task(version_id, definition, row.image_digest, row.project_id, parameters, reason)
 
 
 async def make_run(
@@ -108,11 +112,14 @@ async def make_run(
         InvalidRequest: the action is of another project.
         NoInputs: no file of it is an input.
         FileUnavailable: an input is lost or corrupt.
+        NoRunner: none of the runners can ever do it.
     """
     place = await _place(db, actor, task, mission_id)
     inputs = await _inputs(db, actor, task.definition, place)
     given = _given(task, inputs)
     earlier = None if force else await _earlier(db, task, mission_id, given)
+    if earlier is None and task.why_never is not None:
+        raise NoRunner(action=task.definition.name, reason=task.why_never)
     run_id = uuid.uuid4()
     values = _values(task, inputs) | {"given_sha256": given, "mission_id": mission_id, "started_by_id": actor.person_id}
     if earlier is not None:
@@ -154,7 +161,24 @@ async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
     except ParametersWrong as error:
         problems = [FieldProblem(field=f"parameters.{name}", message=said) for name, said in error.problems.items()]
         raise InvalidRequest(problems=problems) from error
-    return Task(version_id, definition, digest, project_id, parameters)
+    return Task(version_id, definition, digest, project_id, parameters, await _why_never(db, definition))
+
+
+async def _why_never(db: Connection, definition: ActionDefinition) -> str | None:
+    return why_never(_needs(definition), await known_runners(db), owners_alone=await is_owners_alone(db))
+
+
+def _needs(definition: ActionDefinition) -> Needs:
+    needed = definition.resources
+    return Needs(
+        labels=needed.labels,
+        needs_images=definition.image is not None,
+        network=definition.network.value,
+        cores=needed.cores,
+        memory_bytes=needed.memory_bytes,
+        disk_bytes=needed.disk_bytes,
+        gpus=needed.gpus,
+    )
 
 
 async def _place(db: Connection, actor: Actor, task: Task, mission_id: uuid.UUID) -> Row[Any]:
@@ -216,18 +240,10 @@ async def _earlier(db: Connection, task: Task, mission_id: uuid.UUID, given: byt
 
 
 def _values(task: Task, inputs: Sequence[Row[Any]]) -> dict[str, Any]:
-    definition = task.definition
-    needed = definition.resources
     return {
+        **_needs(task.definition)._asdict(),
         "version_id": task.version_id,
         "parameters": task.parameters,
-        "network": definition.network.value,
-        "cores": needed.cores,
-        "memory_bytes": needed.memory_bytes,
-        "disk_bytes": needed.disk_bytes,
-        "gpus": needed.gpus,
-        "labels": needed.labels,
-        "needs_images": definition.image is not None,
         "input_count": len(inputs),
         "input_bytes": sum(row.size_bytes for row in inputs),
     }

@@ -27,7 +27,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pages import PageRequest, fetch_page
-from kleinkram.server.runners.fitting import alive_runners, is_owners_alone, why_waiting
+from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.site import Site
 from kleinkram.server.tables import run, run_artifact
@@ -84,8 +84,8 @@ async def _waiting(db: Connection, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, 
     queued = [row for row in rows if row.state == RunState.queued.value]
     if not queued:
         return {}
-    runners, alone = await alive_runners(db), await is_owners_alone(db)
-    return {row.id: why_waiting(row, runners, owners_alone=alone) for row in queued}
+    known, alone = await known_runners(db), await is_owners_alone(db)
+    return {row.id: why_waiting(row, known, owners_alone=alone) for row in queued}
 
 
 async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UUID:

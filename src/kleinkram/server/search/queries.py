@@ -16,6 +16,7 @@ from sqlalchemy import (
     cast,
     distinct,
     func,
+    literal,
     null,
     select,
     true,
@@ -82,7 +83,8 @@ def topics_found(asked: Asked[FileFilter], *, limit: int, of_blobs: bool) -> Sel
         func.count().over().label("total"),
     )
     grouped = select(*columns).join_from(found, within, true())
-    order = (words_in(actor, name, matching).desc(), file_count.desc(), name, message_type)
+    said = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
+    order = (words_in(actor, said, matching).desc(), file_count.desc(), name, message_type)
     return grouped.group_by(name, message_type).order_by(*order).limit(limit)
 
 

@@ -10,11 +10,13 @@ from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
+    CTE,
     BindParameter,
     ColumnElement,
     CompoundSelect,
     Select,
     Subquery,
+    Table,
     Text,
     and_,
     any_,
@@ -47,6 +49,8 @@ Conditions = list[ColumnElement[bool]]
 MOST_WORDS = 20
 # Places of one kind that are named.
 _MOST = 500
+# Message types that are looked through for a word; those after them in order are found by `type:` alone.
+_MOST_TYPES = 5_000
 # Where of so many, drawn by lot, one in so many holds a word, its places are not looked up: there are very many.
 _FILES_DRAWN, _MISSIONS_DRAWN, _COMMON = 300, 100, 50
 # A word without three letters or digits on end has no trigram to be looked up by.
@@ -74,7 +78,7 @@ def has_index(word: str) -> bool:
 
 
 def file_holds(actor: Actor, word: str, in_its_mission: ColumnElement[bool] | None = None) -> ColumnElement[bool]:
-    """Return the condition that a file holds a word: in path or labels, topics, its mission or project.
+    """Return the condition that a file holds a word: in path or labels, topics and their types, its mission or project.
 
     In a walk, `in_its_mission` says whether the latter two hold it.
     """
@@ -110,7 +114,7 @@ def mission_may_hold(actor: Actor, word: str) -> ColumnElement[bool] | None:
     said = actor.looked.of(word)
     if _in_file(said):
         return None
-    in_topics = [may_have_topic(each) for each in _in_topics(said, mission_topic.c.name)]
+    in_topics = [may_have_topic(each) for each in _in_topics(said, mission_topic)]
     return or_(false(), *_in_mission(actor, said), *in_topics)
 
 
@@ -127,6 +131,7 @@ def in_general(words: Iterable[Said]) -> tuple[Said, ...]:
             mission_ids=known(said.mission_ids),
             file_ids=known(said.file_ids),
             topics=known(said.topics),
+            types=known(said.types),
             is_general=True,
             is_escaped=_is_escaped(said),
         )
@@ -140,6 +145,7 @@ def values_of(words: Iterable[Said]) -> dict[str, object]:
     for number, said in enumerate(words):
         each = {"text": containing(said.word), "key": containing(name_key(said.word)), "projects": said.project_ids}
         each |= {"missions": said.mission_ids, "files": said.file_ids, "topics": said.topics}
+        each |= {"types": said.types}
         values |= {f"word_{number}_{what}": value for what, value in each.items()}
     return values
 
@@ -161,7 +167,7 @@ def _given(said: Said, what: str, value: str, kind: TypeEngine[Any]) -> BindPara
 def _named(column: ColumnElement[Any], said: Said, what: str, values: str) -> Conditions:
     if values == NONE_AT_ALL:
         return []
-    return [column == any_(_given(said, what, values, Written("UUID" if what != "topics" else "TEXT")))]
+    return [column == any_(_given(said, what, values, Written("TEXT" if what in {"topics", "types"} else "UUID")))]
 
 
 def _is_escaped(said: Said) -> bool:
@@ -188,12 +194,33 @@ def _in_mission(actor: Actor, said: Said) -> Conditions:
     return says + in_project
 
 
-def _in_topics(said: Said, name: ColumnElement[str] = topic.c.name) -> Conditions:
-    if said.topics is not None:
-        return _named(name, said, "topics", said.topics)
-    # Of all topics there are few names.
-    named = select(topic_name.c.name).where(holds(topic_name.c.name, said)).correlate(None)
-    return [name == any_(func.array(named.scalar_subquery()))]
+def _in_topics(said: Said, table: Table = topic) -> Conditions:
+    # Of all topics there are few names and types.
+    return [
+        *_one_of(table.c.name, said, "topics", said.topics, topic_name.c.name),
+        *_one_of(table.c.message_type, said, "types", said.types, _MESSAGE_TYPES.c.message_type),
+    ]
+
+
+def _one_of(
+    column: ColumnElement[str], said: Said, what: str, values: str | None, every: ColumnElement[str]
+) -> Conditions:
+    if values is not None:
+        return _named(column, said, what, values)
+    named = select(every).where(holds(every, said)).correlate(None)
+    return [column == any_(func.array(named.scalar_subquery()))]
+
+
+def _message_types() -> CTE:
+    """Return all message types, each once, by one probe of their index for each: `DISTINCT` would read every topic."""
+    first = select(func.min(topic.c.message_type).label("message_type"))
+    types = first.cte("message_types", recursive=True)
+    following = select(func.min(topic.c.message_type)).where(topic.c.message_type > types.c.message_type)
+    each = select(following.correlate(types).scalar_subquery()).where(types.c.message_type.is_not(None))
+    return types.union_all(each.limit(_MOST_TYPES))
+
+
+_MESSAGE_TYPES = _message_types()
 
 
 def _looked_up(in_file: Conditions, in_mission: Conditions, in_topics: Conditions) -> CompoundSelect[Any]:
@@ -268,6 +295,7 @@ async def look_up(db: Connection, actor: Actor, words: Iterable[str]) -> tuple[S
             mission_ids=_few(found.get(f"missions_{number}")),
             file_ids=_few(found.get(f"files_{number}")),
             topics=_few(seen[f"topics_{number}"]),
+            types=_few(seen[f"types_{number}"]),
         )
         for number, word in enumerate(asked)
     )
@@ -278,7 +306,9 @@ async def is_known_untimed(db: Connection, words: Sequence[Said]) -> bool:
 
     So it is where one of them is in nothing but paths and labels, and in none of a file that has one.
     """
-    in_files_alone = [each for each in words if {each.project_ids, each.mission_ids, each.topics} == {NONE_AT_ALL}]
+    in_files_alone = [
+        each for each in words if {each.project_ids, each.mission_ids, each.topics, each.types} == {NONE_AT_ALL}
+    ]
     if not in_files_alone:
         return False
     general = in_general(in_files_alone)
@@ -296,7 +326,7 @@ def _timed(words: Sequence[Said]) -> Select[Any]:
 
 @lru_cache(maxsize=KEPT)
 def _first_look(words: Sequence[Said], files_drawn: int, missions_drawn: int, most: int, *, whole: bool) -> Select[Any]:
-    """Return the projects and names of topics that hold each word, and how many of some files and missions do."""
+    """Return the projects, topics and types that hold each word, and how many of some files and missions do."""
     files = _drawn("files", file.c.id, [or_(*_path_or_label_holds(word)) for word in words], files_drawn)
     says = [or_(*_mission_says(word, whole=whole)) for word in words]
     missions = _drawn("missions", mission.c.id, says, missions_drawn)
@@ -304,7 +334,9 @@ def _first_look(words: Sequence[Said], files_drawn: int, missions_drawn: int, mo
     for number, word in enumerate(words):
         projects = select(project.c.id).where(key_holds(project.c.name_key, word))
         topics = select(topic_name.c.name).where(holds(topic_name.c.name, word))
+        types = select(_MESSAGE_TYPES.c.message_type).where(holds(_MESSAGE_TYPES.c.message_type, word))
         columns += [_first(f"projects_{number}", projects, most), _first(f"topics_{number}", topics, most)]
+        columns.append(_first(f"types_{number}", types, most))
     return select(*columns).select_from(files.join(missions, true()))
 
 

@@ -5,6 +5,7 @@ import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import type { FieldProblem, Problem } from "@/api/problem";
 import type { components } from "@/api/schema";
+import type { Carried } from "@/components/metadata";
 
 type MissionCreate = components["schemas"]["MissionCreate"];
 type MissionTemplate = components["schemas"]["MissionTemplate"];
@@ -34,9 +35,9 @@ export function useTemplate(projectId: MaybeRefOrGetter<string>) {
   });
 }
 
-/** Returns the name of the mission that values to begin with were taken from; empty where none were. */
-export function takenFrom(template: MissionTemplate | undefined): string {
-  return template !== undefined && Object.keys(template.values).length > 0 ? (template.prefilled_from?.name ?? "") : "";
+/** Returns what an earlier mission said of the next one. */
+export function carriedBy(template: MissionTemplate | undefined): Carried {
+  return { from: template?.prefilled_from?.name ?? "", values: template?.carried ?? {} };
 }
 
 /** What a refusal says: of the name, of the metadata's fields, and whether it says more than that. */

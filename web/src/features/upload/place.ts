@@ -6,8 +6,8 @@ import { api, call } from "@/api/client";
 import { keys } from "@/api/keys";
 import { type Problem, toProblem } from "@/api/problem";
 import type { Mission, MetadataFields, Page, Project } from "@/api/types";
-import { judge, type Values } from "@/components/metadata";
-import { takenFrom, useTemplate } from "@/features/project/creating";
+import { beginning, judge, type Values } from "@/components/metadata";
+import { carriedBy, useTemplate } from "@/features/project/creating";
 import { texts } from "@/texts/upload";
 import type { MissionPlace } from "./engine/nouns";
 
@@ -21,6 +21,8 @@ export interface PlaceForm {
   missionId: string;
   missionName: string;
   values: Values;
+  /** Fields whose values are of an earlier mission, and confirmed by nobody. */
+  unconfirmed: ReadonlySet<string>;
 }
 
 interface Named {
@@ -40,7 +42,7 @@ export interface PlaceChoice {
   readonly projects: ComputedRef<Options | undefined>;
   readonly missions: ComputedRef<Options>;
   readonly fields: ComputedRef<MetadataFields>;
-  readonly prefilledFrom: ComputedRef<string>;
+  readonly carriedFrom: ComputedRef<string>;
   /** Whether what is wrong is said; once one has tried to go on. */
   readonly isShown: Ref<boolean>;
   readonly problem: Ref<Problem | null>;
@@ -50,7 +52,7 @@ export interface PlaceChoice {
   readonly settle: () => Promise<MissionPlace | null>;
 }
 
-const form = reactive<PlaceForm>({ projectId: "", projectName: "", missionId: "", missionName: "", values: {} });
+const form = reactive<PlaceForm>({ projectId: "", projectName: "", missionId: "", missionName: "", values: {}, unconfirmed: new Set() });
 
 const NO_FIELDS: MetadataFields = { fields: [], undeclared: "accept" };
 
@@ -70,7 +72,7 @@ async function preselect(missionId: string, projectId: string, signal: AbortSign
 
 function choose(project: Named, mission: Named | null): void {
   Object.assign(known, { project, mission });
-  Object.assign(form, { projectId: project.id, missionId: mission?.id ?? NEW, missionName: "", values: {} });
+  Object.assign(form, { projectId: project.id, missionId: mission?.id ?? NEW, missionName: "", values: {}, unconfirmed: new Set() });
 }
 
 function withKnown(named: Named | null, listed: readonly Named[]): readonly Named[] {
@@ -119,12 +121,12 @@ export function usePlace(): PlaceChoice {
 
   watch([template.data, () => form.missionId], ([told]) => {
     const isUntouched = form.missionId === NEW && Object.keys(form.values).length === 0;
-    if (told !== undefined && isUntouched) form.values = { ...told.values };
+    if (told !== undefined && isUntouched) Object.assign(form, beginning(told.values, carriedBy(told)));
   }, { immediate: true });
 
   /** Choose another project: what was said of a mission in the one before is said of none. */
   function pickProject(id: string): void {
-    Object.assign(form, { projectId: id, missionId: id === NEW ? NEW : "", values: {} });
+    Object.assign(form, { projectId: id, missionId: id === NEW ? NEW : "", values: {}, unconfirmed: new Set() });
     isShown.value = false;
     problem.value = null;
   }
@@ -162,7 +164,7 @@ export function usePlace(): PlaceChoice {
     await isPreselected;
     isShown.value = true;
     problem.value = null;
-    const isFormGood = form.missionId !== NEW || judge(fields.value, form.values).length === 0;
+    const isFormGood = form.missionId !== NEW || (judge(fields.value, form.values).length === 0 && form.unconfirmed.size === 0);
     if (Object.keys(wrong.value).length > 0 || !isFormGood) return null;
     try {
       return await missionToUse(await projectToUse());
@@ -179,6 +181,6 @@ export function usePlace(): PlaceChoice {
       return told && { items: projectOptions.value, hasMore: told.next != null };
     }),
     missions: computed(() => ({ items: missionOptions.value, hasMore: missions.data.value?.next != null })),
-    prefilledFrom: computed(() => takenFrom(template.data.value)),
+    carriedFrom: computed(() => carriedBy(template.data.value).from),
   };
 }

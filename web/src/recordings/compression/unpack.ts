@@ -10,6 +10,12 @@ type Unpack = (packed: Uint8Array, size: number) => Uint8Array;
 
 const UNPACK: Readonly<Record<string, Unpack>> = { lz4: unpackLz4, bz2: unpackBzip2, zstd: unpackZstd };
 
+const ZSTD_MAGIC = [0x28, 0xb5, 0x2f, 0xfd];
+
+export function isZstd(bytes: Uint8Array): boolean {
+  return ZSTD_MAGIC.every((byte, at) => bytes[at] === byte);
+}
+
 /** Return the `size` bytes of a chunk; "" and "none" mean that it is not compressed. */
 export function unpack(compression: string, packed: Uint8Array, size: number): Uint8Array {
   if (size > MOST_UNPACKED) throw new ReadFailure("too_large", String(size));
@@ -34,8 +40,17 @@ function unpackZstd(packed: Uint8Array, size: number): Uint8Array {
   return decompress(packed, new Uint8Array(size)); // a RangeError where it holds more
 }
 
+/** The memory that decompressing a frame takes, as its header says. Source: RFC 8878, 3.1.1.1.2. */
+export function zstdWindowBytes(packed: Uint8Array): number {
+  if (packed.length < 14) return 0; // too short to hold anything large
+  const [descriptor = 0, window = 0] = packed.subarray(4, 6);
+  if ((descriptor & 0x20) !== 0) return zstdContentSize(packed) ?? 0;
+  const base = 2 ** (10 + (window >> 3));
+  return base + (base / 8) * (window & 7);
+}
+
 /** Source: RFC 8878, 3.1.1.1 (frame header). */
-function zstdContentSize(packed: Uint8Array): number | null {
+export function zstdContentSize(packed: Uint8Array): number | null {
   const view = new DataView(packed.buffer, packed.byteOffset, packed.byteLength);
   const descriptor = view.getUint8(4);
   const isSingle = (descriptor & 0x20) !== 0;

@@ -40,6 +40,7 @@ export class CurveCollector {
   private readonly slices: Map<number, Slice>[];
   private readonly steps: number[] = [];
   private gaps: Gap[] = [];
+  private readonly breaks: number[] = [];
   private last: number | undefined;
   private messages = 0;
 
@@ -67,6 +68,11 @@ export class CurveCollector {
     });
   }
 
+  /** Break the curves at a time at which something could not be read. */
+  breakAt(seconds: number): void {
+    if (this.breaks.length < MOST_GAPS) this.breaks.push(seconds);
+  }
+
   /** What there is so far. */
   curves(): Curves {
     const isWhole = this.messages <= MOST_POINTS;
@@ -85,12 +91,12 @@ export class CurveCollector {
     this.last = seconds;
   }
 
-  /** The middles of the silences that are far longer than usual. */
+  /** The middles of the silences that are far longer than usual, and what was broken besides. */
   private realGaps(): number[] {
     const steps = this.steps.toSorted((a, b) => a - b);
     const usual = steps[Math.floor(steps.length / 2)] ?? 0;
     const gaps = longest(this.gaps).filter(({ length }) => length > GAP_FACTOR * usual && usual > 0);
-    return gaps.map(({ from, length }) => from + length / 2).sort((a, b) => a - b);
+    return [...gaps.map(({ from, length }) => from + length / 2), ...this.breaks].sort((a, b) => a - b);
   }
 
   private all(gaps: readonly number[]): Pick<Curves, "seconds" | "values"> {

@@ -1,10 +1,12 @@
 /** Which decoder a channel takes. */
 
-import { ReadFailure } from "../failures";
+import { isZstd, unpack, zstdContentSize } from "../compression/unpack";
+import { failureOf, ReadFailure } from "../failures";
 import type { Schema } from "../formats/recording";
 import { MOST_DEFINITION } from "../limits";
 import { protobufDecoder } from "./protobuf";
 import { rosDecoder } from "./ros";
+import { withService } from "./service";
 import type { Decode, Value } from "./value";
 
 const TEXT = new TextDecoder();
@@ -19,8 +21,23 @@ export function decoderOf(schema: Schema): Decode {
   if (messageEncoding === "json") return fromJson;
   if (messageEncoding === "protobuf" && encoding === "protobuf") return protobufDecoder(definition, schema.name);
   if (messageEncoding === "ros1" && encoding === "ros1msg") return rosDecoder(TEXT.decode(definition), 1, false);
-  if (messageEncoding === "cdr" && encoding === "ros2msg") return rosDecoder(TEXT.decode(definition), 2, true);
+  if (messageEncoding === "cdr" && encoding === "ros2msg") return unpacking(rosDecoder(withService(TEXT.decode(definition), schema.name), 2, true));
   throw new ReadFailure("encoding_unknown", [messageEncoding, encoding].filter((word) => word !== "").join(", ").slice(0, 80));
+}
+
+/** Decode messages that rosbag2 may have compressed one by one. No CDR begins as zstd does. */
+function unpacking(decode: Decode): Decode {
+  return (data) => {
+    if (!isZstd(data)) return decode(data);
+    const size = zstdContentSize(data);
+    if (size === null) throw new ReadFailure("message_damaged", "a compressed message without its size");
+    try {
+      return decode(unpack("zstd", data, size));
+    } catch (thrown) {
+      const failure = failureOf(thrown, "message_damaged");
+      throw failure.code === "chunk_damaged" ? new ReadFailure("message_damaged", failure.detail) : failure;
+    }
+  };
 }
 
 function fromJson(data: Uint8Array): Value {

@@ -94,7 +94,88 @@ describe("ROS", () => {
   });
 });
 
+describe("events of services", () => {
+  const SERVICE = `int64 a
+---
+int64 sum
+pkg/Note[] notes
+================================================================================
+MSG: pkg/Note
+string text
+`;
+  const EVENT = `service_msgs/msg/ServiceEventInfo info
+pkg/srv/Add_Request[] request
+pkg/srv/Add_Response[] response
+================================================================================
+MSG: pkg/srv/Add_Request
+int64 a
+================================================================================
+MSG: pkg/srv/Add_Response
+int64 sum
+pkg/Note[] notes
+================================================================================
+MSG: pkg/Note
+string text
+================================================================================
+MSG: service_msgs/msg/ServiceEventInfo
+uint8 event_type
+builtin_interfaces/Time stamp
+uint8[16] client_gid
+int64 sequence_number
+`;
+  const info = { event_type: 1, stamp: { sec: 5, nanosec: 500_000_000 }, client_gid: new Uint8Array(16).fill(7), sequence_number: 3n };
+
+  it("are decoded by the text of the service, as recorders write it", () => {
+    const data = new Ros2Writer(parse(EVENT, { ros2: true })).writeMessage({ info, request: [{ a: 2n }], response: [{ sum: 5n, notes: [{ text: "ok" }] }] });
+    const value = plain(decoderOf(schema("ros2msg", "cdr", SERVICE, "pkg/srv/Add_Event"))(data));
+    expect(value).toMatchObject({ info: { event_type: 1, stamp: 5.5, sequence_number: 3 }, request: [{ a: 2 }], response: [{ sum: 5, notes: [{ text: "ok" }] }] });
+  });
+
+  it("may have a service without a request", () => {
+    const text = EVENT.replace("MSG: pkg/srv/Add_Request\nint64 a", "MSG: pkg/srv/Add_Request\nuint8 structure_needs_at_least_one_member");
+    const data = new Ros2Writer(parse(text, { ros2: true })).writeMessage({ info, request: [], response: [{ sum: 5n, notes: [] }] });
+    const value = plain(decoderOf(schema("ros2msg", "cdr", SERVICE.replace("int64 a\n", ""), "pkg/srv/Add_Event"))(data));
+    expect(value).toMatchObject({ request: [], response: [{ sum: 5 }] });
+  });
+});
+
 describe("protobuf", () => {
+  /** A record of protobuf: a number, or bytes with their length. */
+  const record = (number: number, body: number | string | number[]): number[] => {
+    if (typeof body === "number") return [number * 8, body];
+    const bytes = typeof body === "string" ? [...new TextEncoder().encode(body)] : body;
+    const length = bytes.length < 128 ? [bytes.length] : [(bytes.length & 127) | 128, bytes.length >> 7];
+    return [number * 8 + 2, ...length, ...bytes];
+  };
+  const field = (name: string, number: number, type: number, typeName = ""): number[] =>
+    record(2, [...record(1, name), ...record(3, number), ...record(4, 1), ...record(5, type), ...(typeName === "" ? [] : record(6, typeName))]);
+  const file = (...parts: number[][]): number[] => record(1, [...parts.flat(), ...record(12, "proto3")]);
+
+  it.each([
+    ["Google's own files left out", ".google.protobuf.Timestamp", []],
+    ["names that begin with no dot", "google.protobuf.Timestamp", []],
+    [
+      "Google's own files within",
+      "google.protobuf.Timestamp",
+      file(record(2, "google.protobuf"), record(4, [...record(1, "Timestamp"), ...field("seconds", 1, 3), ...field("nanos", 2, 5)])),
+    ],
+  ])("follows imports: %s", (_, typeName, imported) => {
+    const inner = record(3, [...record(1, "Inner"), ...field("z", 1, 5)]);
+    const own = record(4, [...record(1, "Log"), ...field("timestamp", 1, 11, typeName), ...field("inner", 2, 11, "Inner"), ...field("sibling", 3, 11, "b.Other"), ...inner]);
+    const sibling = record(4, [...record(1, "Other"), ...field("n", 1, 5)]);
+    const descriptors = Uint8Array.from([...imported, ...file(record(2, "a.b"), own, sibling)]);
+    const data = Uint8Array.from([...record(1, [...record(1, 100), ...record(2, 7)]), ...record(2, record(1, 4)), ...record(3, record(1, 9))]);
+    expect(plain(decoderOf(schema("protobuf", "protobuf", descriptors, "a.b.Log"))(data))).toEqual({
+      timestamp: { seconds: 100, nanos: 7 }, inner: { z: 4 }, sibling: { n: 9 },
+    });
+  });
+
+  it("passes over fields that it does not know, groups as well", () => {
+    const descriptors = Uint8Array.from(file(record(4, [...record(1, "M"), ...field("a", 1, 5)])));
+    const data = Uint8Array.from([9 * 8 + 3, ...record(1, 5), 9 * 8 + 4, ...record(1, 3)]);
+    expect(plain(decoderOf(schema("protobuf", "protobuf", descriptors, "M"))(data))).toEqual({ a: 3 });
+  });
+
   // package t; message M { double a = 1; repeated sint32 b = 2; N n = 3; bytes c = 4; string d = 5;
   //   message N { float x = 1; int64 y = 2; optional int32 z = 3; } }  (proto3, as protobuf's own library writes it)
   const DESCRIPTORS =

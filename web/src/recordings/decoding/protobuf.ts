@@ -12,6 +12,8 @@ interface Field {
   name: string;
   type: number;
   typeName: string;
+  /** The message that the field is in: names without a leading dot are looked up from there outwards. */
+  scope: string;
   isRepeated: boolean;
   /** Absent means its default, which is not written. */
   hasDefault: boolean;
@@ -27,9 +29,9 @@ const LABEL_REPEATED = 3;
  * @throws ReadFailure definition_unreadable.
  */
 export function protobufDecoder(descriptors: Uint8Array, name: string): Decode {
-  const types = new Map<string, Fields>();
+  const types = new Map<string, Fields>(wellKnown());
   for (const [number, file] of new WireReader(descriptors).records()) if (number === 1) addFile(types, bytesOf(file));
-  const root = types.get(`.${name}`);
+  const root = types.get(`.${name.replace(/^\./, "")}`);
   if (root === undefined) throw new ReadFailure("definition_unreadable", name.slice(0, 100));
   return (data) => decode(data, root, types, { values: MOST_VALUES, depth: MOST_DEPTH });
 }
@@ -48,13 +50,13 @@ function addType(types: Map<string, Fields>, type: Uint8Array, prefix: string, i
   const name = `${prefix}.${textOf(records.find(([number]) => number === 1)?.[1])}`;
   const fields: Fields = new Map();
   for (const [number, record] of records) {
-    if (number === 2) addField(fields, bytesOf(record), isProto3);
+    if (number === 2) addField(fields, bytesOf(record), name, isProto3);
     if (number === 3) addType(types, bytesOf(record), name, isProto3, depth - 1);
   }
   types.set(name, fields);
 }
 
-function addField(fields: Fields, field: Uint8Array, isProto3: boolean): void {
+function addField(fields: Fields, field: Uint8Array, scope: string, isProto3: boolean): void {
   const about = new Map(new WireReader(field).records());
   const number = (key: number): number => numberOf(about.get(key));
   const isRepeated = number(4) === LABEL_REPEATED;
@@ -62,9 +64,33 @@ function addField(fields: Fields, field: Uint8Array, isProto3: boolean): void {
     name: textOf(about.get(1)),
     type: number(5),
     typeName: textOf(about.get(6)),
+    scope,
     isRepeated,
-    hasDefault: isProto3 && !isRepeated && !about.has(9) && number(5) !== TYPE.message,
+    hasDefault: isProto3 && !isRepeated && !about.has(9) && number(5) !== TYPE.message && number(5) !== TYPE.group,
   });
+}
+
+/** The type of a field. Source: descriptor.proto, `FieldDescriptorProto.type_name`. */
+function resolved({ typeName, scope }: Field, types: Map<string, Fields>): Fields | undefined {
+  if (typeName.startsWith(".")) return types.get(typeName);
+  for (let around = scope; ; around = around.slice(0, around.lastIndexOf("."))) {
+    const found = types.get(`${around}.${typeName}`);
+    if (found !== undefined || around === "") return found;
+  }
+}
+
+/** Google's own messages, which writers may leave out of the set. Source: google/protobuf/*.proto. */
+function wellKnown(): [string, Fields][] {
+  const scalar = (name: string, type: number): Field => ({ name, type, typeName: "", scope: "", isRepeated: false, hasDefault: true });
+  const message = (...fields: Field[]): Fields => new Map(fields.map((field, at) => [at + 1, field]));
+  const wrappers = { Double: 1, Float: 2, Int64: 3, UInt64: 4, Int32: 5, Bool: 8, String: 9, Bytes: 12, UInt32: 13 };
+  return [
+    [".google.protobuf.Timestamp", message(scalar("seconds", 3), scalar("nanos", 5))],
+    [".google.protobuf.Duration", message(scalar("seconds", 3), scalar("nanos", 5))],
+    [".google.protobuf.Any", message(scalar("type_url", TYPE.string), scalar("value", TYPE.bytes))],
+    [".google.protobuf.Empty", message()],
+    ...Object.entries(wrappers).map(([name, type]): [string, Fields] => [`.google.protobuf.${name}Value`, message(scalar("value", type))]),
+  ];
 }
 
 function decode(data: Uint8Array, fields: Fields, types: Map<string, Fields>, budget: { values: number; depth: number }): Value {
@@ -91,8 +117,8 @@ function decode(data: Uint8Array, fields: Fields, types: Map<string, Fields>, bu
 
 /** The value of one record; of packed numbers, all. */
 function one(field: Field, record: Uint8Array | bigint, types: Map<string, Fields>, budget: { values: number; depth: number }): Value[] {
-  if (field.type === TYPE.message) {
-    const inner = types.get(field.typeName);
+  if (field.type === TYPE.message || field.type === TYPE.group) {
+    const inner = resolved(field, types);
     if (inner === undefined) throw new ReadFailure("definition_unreadable", field.typeName.slice(0, 100));
     return [decode(bytesOf(record), inner, types, budget)];
   }

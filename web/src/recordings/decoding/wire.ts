@@ -4,8 +4,9 @@
  */
 
 import { ReadFailure } from "../failures";
+import { MOST_DEPTH } from "../limits";
 
-const WIRE = { varint: 0, fixed64: 1, bytes: 2, fixed32: 5 } as const;
+const WIRE = { varint: 0, fixed64: 1, bytes: 2, startGroup: 3, endGroup: 4, fixed32: 5 } as const;
 const FIXED_64 = new Set([1, 6, 16]);
 const FIXED_32 = new Set([2, 7, 15]);
 const SIGNED = new Set([3, 5, 14]);
@@ -23,7 +24,8 @@ export class WireReader {
   *records(): Generator<[number, Uint8Array | bigint]> {
     while (this.at < this.bytes.length) {
       const tag = Number(this.varint());
-      yield [Math.floor(tag / 8), this.body(tag % 8)];
+      const wire = tag % 8;
+      yield [Math.floor(tag / 8), wire === WIRE.startGroup ? this.group(Math.floor(tag / 8), MOST_DEPTH) : this.body(wire)];
     }
   }
 
@@ -54,6 +56,20 @@ export class WireReader {
     const length = Number(this.varint());
     const start = this.take(length);
     return this.bytes.subarray(start, start + length);
+  }
+
+  /** The bytes of a group, up to the record that ends it. */
+  private group(number: number, depth: number): Uint8Array {
+    if (depth === 0) throw new ReadFailure("message_damaged", "it nests too deep");
+    const start = this.at;
+    for (;;) {
+      const end = this.at;
+      const tag = Number(this.varint());
+      const [inner, wire] = [Math.floor(tag / 8), tag % 8];
+      if (wire === WIRE.endGroup && inner === number) return this.bytes.subarray(start, end);
+      if (wire === WIRE.startGroup) this.group(inner, depth - 1);
+      else this.body(wire);
+    }
   }
 
   private varint(): bigint {

@@ -3,10 +3,12 @@
 import { unpack } from "../compression/unpack";
 import { ReadFailure } from "../failures";
 import type { FailureCode } from "../failures";
-import { MOST_HELD, READ_AHEAD } from "../limits";
-import type { Ranges } from "../ranges";
+import { READ_AHEAD } from "../limits";
+import type { Source } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
-import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+import { inOrder } from "./in_order";
+import type { ChunkContent } from "./in_order";
+import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
 
 const HEADER = 4096 + MAGIC.length;
 const DAMAGED: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged", "too_large"]);
@@ -27,7 +29,7 @@ interface Connection {
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openBag(source: Ranges, mostBytes: number): Promise<Recording> {
+export async function openBag(source: Source, mostBytes: number): Promise<Recording> {
   const front = await source.read(0, Math.min(HEADER, source.sizeBytes));
   if (text(front.subarray(0, MAGIC.length)) !== MAGIC) throw new ReadFailure("not_readable_here");
   const header = headAt(front, MAGIC.length);
@@ -48,7 +50,7 @@ export async function openBag(source: Ranges, mostBytes: number): Promise<Record
 }
 
 /** Walk the chunks from `start`, each with the index behind it, as far as `mostBytes` reach or they are whole. */
-async function mended(source: Ranges, start: number, mostBytes: number): Promise<Recording> {
+async function mended(source: Source, start: number, mostBytes: number): Promise<Recording> {
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
   let at = start;
@@ -71,7 +73,7 @@ async function mended(source: Ranges, start: number, mostBytes: number): Promise
 }
 
 /** Return the chunk at `at` as an index would tell it, and note its connections; null where it is not whole. */
-async function wholeChunk(source: Ranges, at: number, connections: Map<number, Connection>): Promise<Chunk | null> {
+async function wholeChunk(source: Source, at: number, connections: Map<number, Connection>): Promise<Chunk | null> {
   const [op, end] = await extent(source, at);
   if (op !== Op.chunk || end === null) return null;
   const chunk: Chunk & { counts: Map<number, number> } = { at, end, fromNs: 0n, toNs: 0n, counts: new Map() };
@@ -99,7 +101,7 @@ function noteMessage(chunk: Chunk & { counts: Map<number, number> }, fields: Rea
 }
 
 /** What kind of record is at `at`, and where it ends; null where that is behind the end of the file. */
-async function extent(source: Ranges, at: number): Promise<[number, number | null]> {
+async function extent(source: Source, at: number): Promise<[number, number | null]> {
   const head = await source.read(at, Math.min(4096, source.sizeBytes - at));
   if (head.length === 0) return [-1, null];
   const { op, dataAt, length } = headAt(head, 0);
@@ -141,7 +143,7 @@ class BagRecording implements Recording {
   readonly topics: readonly RecordedTopic[];
 
   constructor(
-    readonly source: Ranges,
+    readonly source: Source,
     private readonly connections: ReadonlyMap<number, Connection>,
     private readonly chunks: readonly Chunk[],
     readonly mendedUntil: number | null,
@@ -158,27 +160,9 @@ class BagRecording implements Recording {
     return this.holding(ids, span).map(({ fromNs, toNs, at, end }) => ({ fromNs, toNs, bytes: end - at }));
   }
 
-  async *messages(topic: string, span: Span, order: Order): AsyncIterable<Message> {
+  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
     const ids = this.ids(topic);
-    const chunks = this.holding(ids, span);
-    const forward = order === "forward";
-    if (!forward) chunks.sort((a, b) => (a.toNs > b.toNs ? -1 : a.toNs < b.toNs ? 1 : b.at - a.at));
-    let waiting: { message: Message; held: number }[] = [];
-    for (const [number, chunk] of chunks.entries()) {
-      const { messages, unpacked } = await this.read(chunk, ids);
-      const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
-      waiting = waiting.concat(within.map((message, place) => ({ message, held: place === 0 ? unpacked : 0 })));
-      if (waiting.reduce((sum, { held }) => sum + held, 0) > MOST_HELD) throw new ReadFailure("too_large");
-      waiting.sort(({ message: a }, { message: b }) => byTime(a, b, forward));
-      const next = chunks[number + 1];
-      // What the next chunk cannot come before is ready to go.
-      const ready = waiting.findIndex(({ message: { logTimeNs } }) =>
-        next === undefined ? false : forward ? logTimeNs > next.fromNs : logTimeNs < next.toNs,
-      );
-      const count = ready < 0 ? waiting.length : ready;
-      for (const { message } of waiting.slice(0, count)) yield message;
-      waiting = waiting.slice(count);
-    }
+    return inOrder(this.holding(ids, span), (chunk) => this.read(chunk, ids), { span, order, onDamage });
   }
 
   private ids(topic: string): Set<number> {
@@ -192,7 +176,7 @@ class BagRecording implements Recording {
     );
   }
 
-  private async read(chunk: Chunk, ids: ReadonlySet<number>): Promise<{ messages: Message[]; unpacked: number }> {
+  private async read(chunk: Chunk, ids: ReadonlySet<number>): Promise<ChunkContent> {
     const bytes = await this.source.read(chunk.at, chunk.end - chunk.at);
     const record = recordAt(bytes, 0);
     if (record.op !== Op.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${chunk.at}`);
@@ -203,7 +187,7 @@ class BagRecording implements Recording {
       if (index.op === Op.index) messages = messages.concat(this.indexed(index, ids, unpacked));
       at = index.next;
     }
-    return { messages, unpacked: unpacked.length };
+    return { messages, heldBytes: unpacked.length };
   }
 
   private indexed(
@@ -222,9 +206,4 @@ class BagRecording implements Recording {
     }
     return messages;
   }
-}
-
-function byTime(a: Message, b: Message, forward: boolean): number {
-  if (a.logTimeNs === b.logTimeNs) return 0;
-  return a.logTimeNs < b.logTimeNs === forward ? -1 : 1;
 }

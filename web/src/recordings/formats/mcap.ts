@@ -1,13 +1,16 @@
 /** MCAP by its own index: the summary at the end, then only chunks that hold what is asked for. */
 
+import { crc32 } from "@foxglove/crc";
 import { McapIndexedReader } from "@mcap/core";
 import { unpack } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
 import { MOST_HELD, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
-import type { ByteSource, Ranges } from "../ranges";
-import { mendMcap } from "./mcap_mended";
+import type { ByteSource, Source } from "../ranges";
+import { inOrder } from "./in_order";
+import type { ChunkContent } from "./in_order";
+import { Fields, mendMcap, OP } from "./mcap_mended";
 import { mostHeld } from "./recording";
-import type { Message, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
 
 const TAIL = 512 * 1024;
 
@@ -15,7 +18,7 @@ const TAIL = 512 * 1024;
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openMcap(source: Ranges, mostBytes: number): Promise<Recording> {
+export async function openMcap(source: Source, mostBytes: number): Promise<Recording> {
   const tail = Math.min(TAIL, source.sizeBytes);
   await source.read(source.sizeBytes - tail, tail); // one request for what is mostly the whole summary
   try {
@@ -35,7 +38,7 @@ export async function openMcap(source: Ranges, mostBytes: number): Promise<Recor
 async function opened(source: ByteSource): Promise<McapIndexedReader> {
   let reader: McapIndexedReader;
   try {
-    reader = await McapIndexedReader.Initialize({ readable: readable(source), decompressHandlers: HANDLERS });
+    reader = await McapIndexedReader.Initialize({ readable: readable(source) });
   } catch (thrown) {
     const said = thrown instanceof Error ? thrown.message : "";
     throw /not indexed|Magic|footer/i.test(said) ? new ReadFailure("no_index") : failureOf(thrown, "index_damaged");
@@ -44,10 +47,6 @@ async function opened(source: ByteSource): Promise<McapIndexedReader> {
   if (reader.chunkIndexes.length === 0 && !isEmpty) throw new ReadFailure("no_index");
   return reader;
 }
-
-const HANDLERS = Object.fromEntries(
-  ["lz4", "zstd"].map((name) => [name, (bytes: Uint8Array, size: bigint) => unpack(name, bytes, Number(size))]),
-);
 
 function readable(source: ByteSource): { size: () => Promise<bigint>; read: (o: bigint, l: bigint) => Promise<Uint8Array> } {
   return {
@@ -64,7 +63,7 @@ class McapRecording implements Recording {
   private readonly channels = new Map<number, { topic: string; schema: Schema }>();
 
   constructor(
-    readonly source: Ranges,
+    readonly source: Source,
     private readonly reader: McapIndexedReader,
     readonly mendedUntil: number | null,
   ) {
@@ -92,13 +91,36 @@ class McapRecording implements Recording {
     }));
   }
 
-  async *messages(topic: string, span: Span, order: Order): AsyncIterable<Message> {
-    this.checkSizes(this.chunks(topic, span));
-    const wanted = { topics: [topic], startTime: span.fromNs, endTime: span.toNs, reverse: order === "backward" };
-    for await (const message of this.named(this.reader.readMessages(wanted))) {
-      const channel = this.channels.get(message.channelId);
-      if (channel !== undefined) yield { logTimeNs: message.logTime, schema: channel.schema, data: message.data };
+  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
+    const chunks = this.chunks(topic, span);
+    this.checkSizes(chunks);
+    const placed = chunks.map((index) => {
+      return { index, at: Number(index.chunkStartOffset), fromNs: index.messageStartTime, toNs: index.messageEndTime };
+    });
+    return inOrder(placed, ({ index }) => this.read(index, topic), { span, order, onDamage });
+  }
+
+  private async read(index: ChunkIndex, topic: string): Promise<ChunkContent> {
+    const record = new Fields(await this.source.read(Number(index.chunkStartOffset), Number(index.chunkLength)));
+    if (record.uint8() !== OP.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${index.chunkStartOffset}`);
+    record.skip(8 + 16); // the length of the record, first and last time
+    const [size, crc, compression] = [Number(record.uint64()), record.uint32(), record.text()];
+    const content = unpack(compression, record.bytes(Number(record.uint64())), size);
+    if (crc !== 0 && crc32(content) !== crc) throw new ReadFailure("chunk_damaged", "its checksum differs");
+    const messages: Message[] = [];
+    const records = new Fields(content);
+    while (records.left > 0) {
+      const op = records.uint8();
+      const body = records.bytes(Number(records.uint64()));
+      if (op !== OP.message) continue;
+      const fields = new Fields(body);
+      const channel = this.channels.get(fields.uint16());
+      fields.skip(4); // its sequence number
+      const logTimeNs = fields.uint64();
+      fields.skip(8); // when it was published
+      if (channel?.topic === topic) messages.push({ logTimeNs, schema: channel.schema, data: fields.bytes(fields.left) });
     }
+    return { messages, heldBytes: content.length };
   }
 
   private chunks(topic: string, span: Span): ChunkIndex[] {
@@ -119,14 +141,6 @@ class McapRecording implements Recording {
     }));
     const held = mostHeld(spans, (chunk) => chunk.bytes);
     if (held > MOST_HELD) throw new ReadFailure("too_large", String(held));
-  }
-
-  private async *named<T>(messages: AsyncIterable<T>): AsyncIterable<T> {
-    try {
-      yield* messages;
-    } catch (thrown) {
-      throw failureOf(thrown, "chunk_damaged");
-    }
   }
 }
 

@@ -12,7 +12,7 @@ import type { ByteSource } from "../ranges";
 const MAGIC_LENGTH = 8;
 const RECORD_HEAD = 9;
 const MOST_RECORDS = 100_000;
-const OP = { schema: 3, channel: 4, chunk: 6, messageIndex: 7 } as const;
+export const OP = { schema: 3, channel: 4, message: 5, chunk: 6, messageIndex: 7 } as const;
 const TEXT = new TextDecoder();
 
 type ChunkIndex = Parameters<McapRecordBuilder["writeChunkIndex"]>[0];
@@ -140,12 +140,17 @@ class Walk {
 }
 
 /** Fields of a record, in order. @throws RangeError where it ends too early. */
-class Fields {
+export class Fields {
   private readonly view: DataView;
   private at = 0;
 
   constructor(private readonly record: Uint8Array) {
     this.view = view(record);
+  }
+
+  /** Bytes after what was taken so far. */
+  get left(): number {
+    return this.record.length - this.at;
   }
 
   uint8(): number {

@@ -1,6 +1,7 @@
 /** What the formats have in common: topics, and the messages of one topic in a span of time. */
 
-import type { Ranges } from "../ranges";
+import type { ReadFailure } from "../failures";
+import type { Source } from "../ranges";
 
 /** How messages of a channel are written, and the text or bytes that say so. */
 export interface Schema {
@@ -29,6 +30,13 @@ export interface Message {
   data: Uint8Array;
 }
 
+/** A part of a recording that could not be read, by the time that its index gives it. */
+export interface Damage extends Span {
+  failure: ReadFailure;
+}
+
+export type OnDamage = (damage: Damage) => void;
+
 export type Order = "forward" | "backward";
 
 /** A piece of the file that must be read as a whole. */
@@ -37,7 +45,7 @@ export interface Piece extends Span {
 }
 
 export interface Recording {
-  readonly source: Ranges;
+  readonly source: Source;
   /** Null where the recording holds no message. */
   readonly span: Span | null;
   /** Where a recording without index was read up to, to make one: the rest is not seen. Null for one with an index. */
@@ -45,8 +53,8 @@ export interface Recording {
   readonly topics: readonly RecordedTopic[];
   /** The pieces that may hold messages of the topic within the span, in order of time. */
   pieces(topic: string, span: Span): Piece[];
-  /** The messages of the topic within the span, by log time. */
-  messages(topic: string, span: Span, order: Order): AsyncIterable<Message>;
+  /** The messages of the topic within the span, by log time. Damaged parts are told to `onDamage` and left out. */
+  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message>;
 }
 
 /** The bytes that pieces have together. */
@@ -69,4 +77,14 @@ export function mostHeld<P extends Span>(pieces: readonly P[], size: (piece: P) 
     most = Math.max(most, held);
   }
   return Math.max(most, ...pieces.slice(0, 1).map(size));
+}
+
+export function joined(parts: readonly Uint8Array[]): Uint8Array {
+  const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    whole.set(part, at);
+    at += part.length;
+  }
+  return whole;
 }

@@ -1,6 +1,6 @@
 /** Small ROS 1 bags, written by hand after wiki.ros.org/Bags/Format/2.0. */
 
-import { joined } from "./made_mcap";
+import { joined } from "../formats/recording";
 
 export interface BagMessage {
   connection: number;

@@ -1,6 +1,7 @@
 /** Small MCAPs, made by the library that others make them with. */
 
 import { McapWriter } from "@mcap/core";
+import { joined } from "../formats/recording";
 
 export interface MadeMessage {
   topic: string;
@@ -38,14 +39,4 @@ export async function madeMcap(topics: MadeTopic[], messages: MadeMessage[], { c
   }
   if (isClosed) await writer.end();
   return joined(parts);
-}
-
-export function joined(parts: readonly Uint8Array[]): Uint8Array {
-  const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
-  let at = 0;
-  for (const part of parts) {
-    whole.set(part, at);
-    at += part.length;
-  }
-  return whole;
 }

@@ -1,0 +1,141 @@
+"""Runs that no runner can ever start are refused, and shown where they wait already; failed runs need somebody."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.server.access.owner import OWNER_ID
+from tests.integration import people
+from tests.integration.conftest import StartApi
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Place, Played, definition, launch
+from tests.integration.uploading import upload
+
+
+@pytest.fixture
+def single(start_api: StartApi) -> Api:
+    """A server with nobody but its owner."""
+    return start_api()
+
+
+@pytest.fixture
+def own_runner(single: Api) -> Played:
+    """A runner as `klein up` starts it on a machine without Docker."""
+    secret = people.token(single, str(OWNER_ID), [Scope.run], kind=TokenKind.runner).secret
+    played = Played(single.as_(secret), labels=[])
+    played.hello(executor="process", isolation="namespaces", images=False)
+    return played
+
+
+@pytest.fixture
+def mission(single: Api) -> Any:
+    made = single.mission(single.project()["id"])
+    upload(single, made["id"], "drive.bin", b"a drive")
+    return made
+
+
+def test_a_second_account_makes_script_runs_refused_with_the_remedy(
+    single: Api, own_runner: Played, mission: Any
+) -> None:
+    assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
+    invited = single.post("/people/invitations", {"email": "second@lab.example"}).ok(201)
+    assert "Docker or Podman" in invited["warning"], "told while there is time to do something"
+    assert "Docker or Podman" in single.get("/admin/health").ok()["invitation_warning"]
+
+    people.person(single)
+    wanted = {"mission_ids": [mission["id"]], "definition": definition(own_runner), "force": True}
+    (item,) = single.post("/runs", wanted).ok()["items"]
+    assert (item["outcome"], item["problem"]["code"]) == ("refused", "no_runner")
+    assert "only while one person alone has an account" in item["problem"]["detail"]
+    assert "Install Docker or Podman" in item["problem"]["detail"]
+
+    (queued,) = single.get("/runs").ok()["items"]
+    assert "Install Docker or Podman" in queued["waits_for"]
+    retried = single.post(f"/runs/{queued['id']}/retry?force=true").refused(409, "no_runner")
+    assert "Install Docker or Podman" in retried["detail"]
+    health = single.get("/admin/health").ok()
+    assert health["runs_problem"].startswith("1 queued run can never start.")
+    assert health["invitation_warning"] is None, "it has happened"
+    needs = [(each["need"], each["count"], each["mission"]["id"]) for each in single.get("/home").ok()["attention"]]
+    assert needs == [("runs_cannot_start", 1, mission["id"])]
+
+    single.post(f"/runs/{queued['id']}/cancel").ok()
+    assert "Actions cannot be run" in single.get("/admin/health").ok()["runs_problem"], "with nothing queued, too"
+    assert single.get("/home").ok()["attention"] == []
+
+
+def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: Played, mission: Any) -> None:
+    people.person(single)
+    own_runner.hello()
+    assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
+    health = single.get("/admin/health").ok()
+    assert (health["runs_problem"], health["invitation_warning"]) == (None, None)
+    assert single.post("/people/invitations", {"email": "third@lab.example"}).ok(201)["warning"] is None
+
+
+def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_runner: Played, mission: Any) -> None:
+    single.sql("UPDATE runner SET last_seen_at = now() - interval '1 day'")
+    waits = launch(single, own_runner, mission)["waits_for"]
+    assert "which is not running" in waits
+    assert single.get("/admin/health").ok()["runs_problem"] is None
+
+
+@pytest.mark.parametrize(
+    ("wanted", "why"),
+    [
+        ({"resources": {"cores": 64}}, "it has 4 cores and 64 are asked for"),
+        ({"resources": {"gpus": 1}}, "it gives no GPUs"),
+        ({"resources": {"labels": ["lidar-box"]}}, "it has no label lidar-box"),
+        ({"script": None, "image": "lab/slam", "command": ["slam"]}, "the action is an image"),
+    ],
+)
+def test_what_no_runner_has_is_refused(
+    single: Api, own_runner: Played, mission: Any, wanted: dict[str, Any], why: str
+) -> None:
+    action = {key: value for key, value in (definition(own_runner) | wanted).items() if value is not None}
+    (item,) = single.post("/runs", {"mission_ids": [mission["id"]], "definition": action}).ok()["items"]
+    assert item["problem"]["code"] == "no_runner"
+    assert why in item["problem"]["detail"]
+    assert "klein runner start" in item["problem"]["detail"]
+
+
+def test_results_that_are_there_already_need_no_runner(single: Api, own_runner: Played, mission: Any) -> None:
+    launch(single, own_runner, mission)
+    claim = own_runner.claim()
+    own_runner.beat(claim, image_digest="sha256:stock")
+    own_runner.finish(claim).ok()
+    people.person(single)
+    assert launch(single, own_runner, mission, force=False)["state"] == "done"
+
+
+def test_failed_runs_need_attention_until_the_same_action_succeeds(lab: Api, runner: Played, place: Place) -> None:
+    member = people.person(lab)
+    people.grant(lab, member, Right.read, mission_id=place.mission["id"])
+    stranger = lab.as_(people.person(lab).token)
+
+    def needs() -> list[tuple[str, int]]:
+        told = lab.as_(member.token).get("/home").ok()["attention"]
+        return [(each["need"], each["count"]) for each in told]
+
+    def ended(reason: str, **action: Any) -> Any:
+        launch(lab, runner, place.mission, **action)
+        claim = runner.claim()
+        runner.finish(claim, reason, exit_code=int(reason != "done")).ok()
+        return claim["run_id"]
+
+    ended("exit_code")
+    ended("exit_code")
+    assert needs() == [("runs_failed", 1)], "the same action failed twice: one thing to mend"
+    ended("exit_code", name="other")
+    assert needs() == [("runs_failed", 2)]
+    assert stranger.get("/home").ok()["attention"] == []
+    ended("done", script="print('mended')\n")
+    assert needs() == [("runs_failed", 1)], "run again from its folder, mended"
+    ended("done", name="other")
+    assert needs() == []
+    old = ended("exit_code")
+    lab.sql("UPDATE run SET ended_at = now() - interval '30 days' WHERE id = %s", old)
+    assert needs() == []

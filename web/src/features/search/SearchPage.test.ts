@@ -1,0 +1,93 @@
+import { QueryClient, VueQueryPlugin } from "@tanstack/vue-query";
+import { flushPromises, mount } from "@vue/test-utils";
+import { afterEach, beforeEach, expect, test, vi } from "vitest";
+import { createMemoryHistory, createRouter } from "vue-router";
+import SearchPage from "./SearchPage.vue";
+
+const PAUSE_MS = 350;
+vi.setConfig({ testTimeout: 60_000 }); // the first mounting of a whole page takes long on a busy machine
+/** Answers of the search by its text; those that are missing are still on their way. */
+const answers = new Map<string, { status: number; body: unknown }>();
+let waiting: { query: string; resolve: (response: Response) => void }[] = [];
+
+function found(query: string, total: number): { status: number; body: unknown } {
+  const page = { items: [], next: null, total };
+  return { status: 200, body: { query, means: query, is_whole: true, files: page, missions: page, topics: page } };
+}
+
+function answered({ status, body }: { status: number; body: unknown }): Response {
+  return new Response(JSON.stringify(body), { status, headers: { "content-type": status === 200 ? "application/json" : "application/problem+json" } });
+}
+
+function respond(request: Request): Promise<Response> {
+  const url = new URL(request.url);
+  const query = url.searchParams.get("query") ?? "";
+  if (url.pathname.endsWith("/facets")) return Promise.resolve(answered({ status: 200, body: { query, is_whole: true, file_count: 1, facets: [] } }));
+  if (!url.pathname.endsWith("/search")) return Promise.resolve(answered({ status: 404, body: {} }));
+  const answer = answers.get(query);
+  return answer ? Promise.resolve(answered(answer)) : new Promise((resolve) => waiting.push({ query, resolve }));
+}
+
+async function page() {
+  const router = createRouter({ history: createMemoryHistory(), routes: [{ path: "/:rest(.*)*", name: "search", component: SearchPage }] });
+  await router.push("/search?q=alps");
+  const client = new QueryClient({ defaultOptions: { queries: { retry: false, staleTime: 30_000 } } });
+  const wrapper = mount(SearchPage, {
+    global: { plugins: [router, [VueQueryPlugin, { queryClient: client }]], stubs: { DataTable: true, RouterLink: { template: "<a><slot /></a>" } } },
+  });
+  await settled();
+  const results = () => wrapper.find("[data-found]");
+  const counts = () => wrapper.findAll("[data-found] nav .count").map((each) => each.text());
+  const type = async (text: string) => wrapper.get("input").setValue(text);
+  return { wrapper, results, counts, type };
+}
+
+async function settled(): Promise<void> {
+  await vi.advanceTimersByTimeAsync(PAUSE_MS + 50);
+  await flushPromises();
+}
+
+beforeEach(() => {
+  vi.useFakeTimers();
+  vi.stubGlobal("fetch", respond);
+  vi.stubGlobal("ResizeObserver", class { observe() {} disconnect() {} });
+  answers.clear();
+  waiting = [];
+  answers.set("alps", found("alps", 7));
+});
+afterEach(() => {
+  vi.useRealTimers();
+  vi.unstubAllGlobals();
+});
+
+test("results are greyed and uncounted as soon as something else is typed, until its own are there", async () => {
+  const { results, counts, type, wrapper } = await page();
+  expect(counts()).toEqual(["7", "7", "7"]);
+  expect(results().classes()).not.toContain("old");
+  await type("lakes");
+  expect(results().classes()).toContain("old");
+  expect(wrapper.get("[data-facet-groups]").classes()).toContain("old");
+  expect(counts()).toEqual([]);
+  await settled(); // asked for, not answered
+  expect(waiting.map(({ query }) => query)).toEqual(["lakes"]);
+  expect(results().classes()).toContain("old");
+  expect(counts()).toEqual([]);
+  waiting[0]?.resolve(answered(found("lakes", 2)));
+  await settled();
+  expect(results().classes()).not.toContain("old");
+  expect(results().attributes("data-query")).toBe("lakes");
+  expect(counts()).toEqual(["2", "2", "2"]);
+});
+
+test("a search that fails shows its failure, and no results of an earlier one", async () => {
+  answers.set("lakes", { status: 503, body: { code: "database_unavailable", status: 503, title: "x", detail: "The database is away.", request_id: "r" } });
+  const { results, type, wrapper } = await page();
+  await type("lakes");
+  await settled();
+  expect(wrapper.text()).toContain("The database is away.");
+  expect(results().exists()).toBe(false);
+  await type("alps");
+  await settled();
+  expect(wrapper.text()).not.toContain("The database is away.");
+  expect(results().attributes("data-query")).toBe("alps");
+});

@@ -1,0 +1,52 @@
+/** Files that are compressed as a whole (`.mcap.zstd`, `.bag.zst`): decompressed into memory, up to a bound. */
+
+import { Decompress } from "fzstd";
+import { zstdWindowBytes } from "../compression/unpack";
+import { failureOf, ReadFailure } from "../failures";
+import { MOST_WHOLE_PACKED, MOST_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
+import type { Source } from "../ranges";
+import { joined } from "./recording";
+
+/** Read and decompress a whole file.
+ *
+ * @throws ReadFailure compressed_whole, where it is too large for that; chunk_damaged.
+ */
+export async function decompressed(source: Source): Promise<Source> {
+  if (source.sizeBytes > MOST_WHOLE_PACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+  const parts: Uint8Array[] = [];
+  let size = 0;
+  const stream = new Decompress((part) => {
+    size += part.length;
+    if (size > MOST_WHOLE_UNPACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+    parts.push(part.slice());
+  });
+  source.ahead = READ_AHEAD;
+  try {
+    for (let at = 0; at < source.sizeBytes; at += READ_AHEAD) {
+      const end = Math.min(at + READ_AHEAD, source.sizeBytes);
+      const packed = await source.read(at, end - at);
+      if (at === 0 && zstdWindowBytes(packed) > MOST_WHOLE_UNPACKED) {
+        throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+      }
+      stream.push(packed, end === source.sizeBytes);
+    }
+  } catch (thrown) {
+    // What was decompressed of a file that breaks off can still be looked into.
+    const failure = failureOf(thrown, "chunk_damaged");
+    if (failure.code !== "chunk_damaged" || size === 0) throw failure;
+  } finally {
+    source.ahead = 0;
+  }
+  return inMemory(joined(parts));
+}
+
+function inMemory(bytes: Uint8Array): Source {
+  return {
+    sizeBytes: bytes.length,
+    ahead: 0,
+    read: (offset, length) => {
+      if (offset >= 0 && length >= 0 && offset + length <= bytes.length) return Promise.resolve(bytes.subarray(offset, offset + length));
+      return Promise.reject(new ReadFailure("index_damaged", `${length} bytes at ${offset} of ${bytes.length}`));
+    },
+  };
+}
