@@ -1,0 +1,141 @@
+"""Connections that notice when the network under them is gone.
+
+A robot that moves gets another address, or loses its network for a while. Its connections then hang, because nobody
+resets them. Two things end such a connection within 15 seconds: the kernel, when the other side acknowledges nothing
+that was sent and answers no keepalive probe; and `NetworkMonitor`, within a second or two, when this machine no longer
+has the address that the connection was made from.
+"""
+
+import errno
+import socket
+import sys
+import threading
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import urllib3
+from typing_extensions import Self
+from urllib3.connection import HTTPConnection, HTTPSConnection
+from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
+
+# What users are told. The kernel's timers below end between 13 and 15 seconds after the last answer.
+SILENCE_S = 15
+_UNACKNOWLEDGED_MS = 13_000
+_PROBE_AFTER_S, _PROBE_EVERY_S, _PROBES = 5, 3, 3
+_LOOK_EVERY_S = 1.0
+
+_lock = threading.Lock()
+_open_connections: "weakref.WeakSet[WatchedConnection]" = weakref.WeakSet()
+
+
+def socket_options() -> list[tuple[int, int, int]]:
+    """Return the options of a connection that the kernel is to end when the other side is silent."""
+    options = [*HTTPConnection.default_socket_options, (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
+    if sys.platform == "linux":
+        tcp = socket.IPPROTO_TCP
+        options += [
+            (tcp, socket.TCP_KEEPIDLE, _PROBE_AFTER_S),
+            (tcp, socket.TCP_KEEPINTVL, _PROBE_EVERY_S),
+            (tcp, socket.TCP_KEEPCNT, _PROBES),
+            (tcp, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS),
+        ]
+    return options
+
+
+def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket's name depends on its family
+    """Say whether this machine still has the address of a socket's own end."""
+    host, _, *rest = address
+    family = socket.AF_INET6 if rest else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind((host, 0, *rest))
+        except OSError as error:
+            return error.errno != errno.EADDRNOTAVAIL
+    return True
+
+
+class WatchedConnection(HTTPConnection):
+    """A connection that a `NetworkMonitor` can end from another thread."""
+
+    _own_address: tuple[Any, ...] | None = None
+
+    def connect(self) -> None:
+        super().connect()
+        if self.sock:
+            self._own_address = self.sock.getsockname()
+            with _lock:
+                _open_connections.add(self)
+
+    def close(self) -> None:
+        with _lock:  # nobody may shut down a socket whose number is somebody else's by then
+            _open_connections.discard(self)
+        super().close()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the pool may use it once more."""
+        return super().is_connected and not self.is_stranded()
+
+    def is_stranded(self) -> bool:
+        """Say whether this machine has lost the address that the connection was made from."""
+        return self._own_address is not None and not has_address(self._own_address)
+
+    def end_if_stranded(self) -> str | None:
+        """Wake whoever waits for a connection that is stranded, and return the lost address."""
+        address = self._own_address
+        if address is None or self.sock is None or not self.is_stranded():
+            return None
+        self._own_address = None  # said once; the pool sees by itself that the socket is at its end
+        try:
+            socket.socket.shutdown(self.sock, socket.SHUT_RDWR)  # under TLS too: there is nobody to take leave of
+        except OSError:
+            return None  # ended meanwhile
+        return str(address[0])
+
+
+class _WatchedTlsConnection(WatchedConnection, HTTPSConnection):
+    pass
+
+
+class _PlainPool(HTTPConnectionPool):
+    ConnectionCls = WatchedConnection
+
+
+class _TlsPool(HTTPSConnectionPool):
+    ConnectionCls = _WatchedTlsConnection
+
+
+class WatchedPools(urllib3.PoolManager):
+    """Pools of watched connections; nothing is tried twice."""
+
+    def __init__(self, pools: int = 10, *, maxsize: int, timeout: urllib3.Timeout) -> None:
+        super().__init__(pools, maxsize=maxsize, retries=False, timeout=timeout, socket_options=socket_options())
+        self.pool_classes_by_scheme = {"http": _PlainPool, "https": _TlsPool}
+
+
+class NetworkMonitor:
+    """Ends stranded connections of this process while it runs. A context manager, with one thread.
+
+    `lost` is called from that thread with each address that this machine has lost.
+    """
+
+    def __init__(self, lost: Callable[[str], None]) -> None:
+        self._lost = lost
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="network monitor", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._over.wait(_LOOK_EVERY_S):
+            with _lock:
+                ended = {address for each in _open_connections if (address := each.end_if_stranded())}
+            for address in ended:
+                self._lost(address)
