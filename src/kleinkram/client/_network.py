@@ -2,7 +2,7 @@
 
 A robot that moves gets another address, or loses its network for a while. Its connections then hang, because nobody
 resets them. Two things end such a connection within 15 seconds: the kernel, when the other side acknowledges nothing
-that was sent and answers no keepalive probe; and `NetworkMonitor`, within a second or two, when this machine no longer
+that was sent and answers no keepalive probe; and `NetworkMonitor`, within a second, when this machine no longer
 has the address that the connection was made from.
 """
 
@@ -23,7 +23,7 @@ from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 SILENCE_S = 15
 _UNACKNOWLEDGED_MS = 13_000
 _PROBE_AFTER_S, _PROBE_EVERY_S, _PROBES = 5, 3, 3
-_LOOK_EVERY_S = 1.0
+_LOOK_EVERY_S = 0.25
 
 _lock = threading.Lock()
 _open_connections: "weakref.WeakSet[WatchedConnection]" = weakref.WeakSet()

@@ -29,7 +29,7 @@ from kleinkram.client.transfer._place import make_folders, regular_size
 from kleinkram.client.transfer._source import SLICE_BYTES
 from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, GetAnswer, StoreDoor
 from kleinkram.client.transfer.destination import Target
-from kleinkram.client.transfer.link import Lane, LinkReport, LinkWatch, Window
+from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkReport, LinkWatch, Window
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -205,7 +205,7 @@ class Downloader:
         fetching = piece.fetching
         try:
             if not fetching.ended:
-                with self._lines, self._lane.turn(piece.last - piece.first + 1):
+                with self._lines, self._lane.place() as place, self._lane.turn(place, piece.last - piece.first + 1):
                     self._fetch(piece)
                 fetching.arrived(piece.number, piece.last - piece.first + 1)
                 fetching.hash_ready(self._stop.check)
@@ -231,7 +231,9 @@ class Downloader:
             elif answer.answer in {Answer.taken, Answer.try_again}:
                 self._lane.lost()
                 self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
-                if not backoff.pause():
+                if self._link.has_moved():
+                    self._stop.wait(RECONNECT_S)
+                elif not backoff.pause():
                     raise self._gave_up(fetching, answer)
             elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
                 refusals += 1

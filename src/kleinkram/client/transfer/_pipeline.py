@@ -19,7 +19,7 @@ from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._sending import Part, Sending
 from kleinkram.client.transfer._source import FileSlice
 from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, PutAnswer, StoreDoor
-from kleinkram.client.transfer.link import Lane, LinkWatch, Window
+from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkWatch, Window
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -199,12 +199,16 @@ class Pipeline:
                 self._part_over(part)
 
     def _send(self, part: Part, signed: SignedPart) -> None:
+        with self._lane.place() as place:
+            self._send_in_turn(part, signed, place)
+
+    def _send_in_turn(self, part: Part, signed: SignedPart, place: int) -> None:
         backoff: Backoff | None = None  # a part may be on its way for long, and be cut off then
         began_at = time.monotonic()
         shown = [0]
         refusals = 0
         while True:
-            with self._lane.turn(part.size_bytes) as waited_s:
+            with self._lane.turn(place, part.size_bytes) as waited_s:
                 if backoff is not None:
                     backoff.excuse(waited_s)
                 if signed.expires_at <= self._uploads.now():  # spares sending it in vain
@@ -220,7 +224,11 @@ class Pipeline:
                 if backoff is None or self._lane.arrived_at > began_at:  # other parts arrive: the way is open
                     backoff, began_at = Backoff(PATIENCE_S, self._stop.wait), time.monotonic()
                 self._link.lost(signed.url, backoff, answer.error, answer.why, answer.sent_bytes)
-                if not backoff.pause():
+                if answer.error is None:
+                    self._lane.step_out(place)
+                if self._link.has_moved():
+                    self._stop.wait(RECONNECT_S)
+                elif not backoff.pause():
                     raise self._gave_up(signed.url, part, answer)
             else:
                 part.sending.source.check_unchanged()

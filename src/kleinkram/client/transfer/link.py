@@ -6,6 +6,7 @@
 
 import contextlib
 import errno
+import itertools
 import socket
 import threading
 import time
@@ -30,6 +31,8 @@ CALM_S = 60.0
 QUICK_AFTER_LOSS_S = 1.0
 _WORTH_SAYING_S = 5.0
 _PROBE_S = 3.0
+RECONNECT_S = 0.05
+_MOVED_S = 1.0
 
 
 class Window:
@@ -72,35 +75,70 @@ class Window:
 
 
 class Lane:
-    """Admits parts to the link as its window allows; one part always may go. Shared by the threads of a transfer."""
+    """Admits parts to the link in order, as its window allows; one may always go. Shared by the threads of a transfer.
+
+    Order matters: a part that broke off goes on before others begin, so that a link that breaks often is not filled
+    with beginnings of parts.
+    """
 
     def __init__(self, stop: Stop, window: Window) -> None:
         self._stop = stop
         self._window = window
         self._used_bytes = 0
+        self._places = itertools.count()
+        self._line: list[int] = []
+        self._moving: set[int] = set()
         self._changed = stop.condition()
         self.arrived_at = time.monotonic()
 
     @contextlib.contextmanager
-    def turn(self, size_bytes: int) -> Iterator[float]:
-        """Wait for room, and hold it; yields how many seconds that took.
+    def place(self) -> Iterator[int]:
+        """Stand in line for as long as the context lasts, whether a turn is held or the next one waited for."""
+        with self._changed:
+            place = next(self._places)
+            self._line.append(place)
+        try:
+            yield place
+        finally:
+            self.step_out(place)
+
+    def step_out(self, place: int) -> None:
+        """Leave the line: what is wrong concerns this part alone. The next turn is waited for at its end."""
+        with self._changed:
+            if place in self._line:
+                self._line.remove(place)
+            self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def turn(self, place: int, size_bytes: int) -> Iterator[float]:
+        """Wait for room for a part, and hold it; yields how many seconds that took.
 
         Raises:
             Stopped: it is over.
         """
         began_at = time.monotonic()
         with self._changed:
-            while self._used_bytes > 0 and self._used_bytes + size_bytes > self._window.limit_bytes:
+            if place not in self._line:
+                self._line.append(place)
+            while not self._may_go(place, size_bytes):
                 self._stop.check()
                 self._changed.wait()
             self._stop.check()
             self._used_bytes += size_bytes
+            self._moving.add(place)
+            self._changed.notify_all()
         try:
             yield time.monotonic() - began_at
         finally:
             with self._changed:
                 self._used_bytes -= size_bytes
+                self._moving.remove(place)
                 self._changed.notify_all()
+
+    def _may_go(self, place: int, size_bytes: int) -> bool:
+        if any(earlier not in self._moving for earlier in self._line[: self._line.index(place)]):
+            return False
+        return self._used_bytes == 0 or self._used_bytes + size_bytes <= self._window.limit_bytes
 
     def arrived(self, size_bytes: int, took_s: float) -> None:
         """Take note of a part that arrived."""
@@ -154,6 +192,7 @@ class LinkWatch:
         self._connections_lost = self._address_changes = self._resent_bytes = 0
         self._longest_outage_s = 0.0
         self._outage_since: float | None = None
+        self._address_lost_at = float("-inf")
         self._said_at: dict[str, float] = {}
         self._store_url: str | None = None
 
@@ -168,7 +207,12 @@ class LinkWatch:
         """Tell that this machine no longer has an address that connections were made from."""
         with self._lock:
             self._address_changes += 1
+            self._address_lost_at = self._clock()
         self._say("address", f"this machine no longer has the address {address} (another network?), reconnecting")
+
+    def has_moved(self) -> bool:
+        """Say whether a connection broke just now because the address changed: then another is worth trying at once."""
+        return self._clock() - self._address_lost_at < _MOVED_S
 
     def lost(self, url: str, backoff: Backoff, error: BaseException | None, reason: str, resent_bytes: int = 0) -> None:
         """Take note of one more failed try, and tell about it where it will not pass by itself in seconds.
