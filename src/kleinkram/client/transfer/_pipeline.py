@@ -230,6 +230,8 @@ class Pipeline:
                     self._stop.wait(RECONNECT_S)
                 elif not backoff.pause():
                     raise self._gave_up(signed.url, part, answer)
+                if answer.error is not None:
+                    continue  # the address is as good as before
             else:
                 part.sending.source.check_unchanged()
                 refusals += 1
