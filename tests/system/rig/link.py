@@ -16,9 +16,11 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from tests.lacking import missing, need
 
+_TUN = Path("/dev/net/tun")
 _TUNSETIFF = 0x400454CA
 _IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000
 _MAX_PACKET_BYTES = 65_536
@@ -35,6 +37,9 @@ class _Direction:
     delay_s: float
     sent_bytes: int = 0
     arrivals: list[float] = field(default_factory=list)
+    port_at: int = 20
+    ports: set[bytes] = field(default_factory=set)
+    cut_ports: set[bytes] = field(default_factory=set)
     _free_at: float = 0.0
     _waiting: deque[tuple[float, bytes]] = field(default_factory=deque)
 
@@ -43,7 +48,9 @@ class _Direction:
         now = time.monotonic()
         self.sent_bytes += len(packet)
         self._free_at = max(self._free_at, now)
-        if is_dark or self._free_at - now > _QUEUE_S:
+        port = packet[self.port_at : self.port_at + 2]  # the robot's; there is TCP alone, without IP options
+        self.ports.add(port)
+        if is_dark or port in self.cut_ports or self._free_at - now > _QUEUE_S:
             return
         self._free_at += len(packet) / self.rate_bytes_per_s
         self._waiting.append((self._free_at + self.delay_s, packet))
@@ -72,7 +79,7 @@ class SlowLink:
         self.address_changes = 0
         self.dark = threading.Event()
         self.up = _Direction(rate_bytes_per_s, delay_s)
-        self.down = _Direction(rate_bytes_per_s, delay_s)
+        self.down = _Direction(rate_bytes_per_s, delay_s, port_at=22)
         self._robot_device, self._lab_device = f"klr{number}", f"kll{number}"
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._carry, name="slow link")
@@ -93,6 +100,11 @@ class SlowLink:
         self.address_changes += 1
         _ip("-netns", self.robot, "address", "delete", f"{old}/24", "dev", self._robot_device)
         _ip("-netns", self.robot, "address", "add", f"{self.robot_address}/24", "dev", self._robot_device)
+
+    def forget_connections(self) -> None:
+        """Drop what belongs to connections that exist now, as a router does whose own address has changed."""
+        for way in (self.up, self.down):
+            way.cut_ports = {*self.up.ports}
 
     def longest_silence_s(self, since: float, until: float) -> float:
         """Return the longest time between two arrivals of file bytes at the lab between two moments."""
@@ -153,8 +165,8 @@ def slow_link(*, rate_bytes_per_s: float, delay_s: float = 0.02) -> Iterator[Slo
     if os.geteuid() != 0:
         missing("a slow link is made of network namespaces, which only root may make")
     need("ip")
-    if not os.path.exists("/dev/net/tun"):
-        missing("a slow link needs /dev/net/tun")
+    if not _TUN.exists():
+        missing(f"a slow link needs {_TUN}")
     link = SlowLink(os.getpid() % 1_000_000, rate_bytes_per_s, delay_s)
     try:
         link.start()
@@ -164,7 +176,7 @@ def slow_link(*, rate_bytes_per_s: float, delay_s: float = 0.02) -> Iterator[Slo
 
 
 def _open_tun(name: str) -> int:
-    device = os.open("/dev/net/tun", os.O_RDWR | os.O_CLOEXEC)
+    device = os.open(_TUN, os.O_RDWR | os.O_CLOEXEC)
     fcntl.ioctl(device, _TUNSETIFF, struct.pack("16sH22x", name.encode(), _IFF_TUN | _IFF_NO_PI))
     return device
 

@@ -100,7 +100,7 @@ class Downloader:
         for thread in threads:
             thread.start()
         try:
-            with NetworkMonitor(self._link.address_lost), contextlib.suppress(Stopped):
+            with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 self._hand_out(targets)
                 self._under_way.wait_until_free()
         finally:

@@ -102,9 +102,7 @@ class Uploader:
         self._journals = Journals(journals)
         self._watcher = watcher
         self._ended = ended
-        self._pipeline = Pipeline(
-            self._uploads, self._stop, pace=pace, link=self._link, watcher=watcher, ended=ended
-        )
+        self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, link=self._link, watcher=watcher, ended=ended)
         self._leased: dict[LocalFile, NameLeased] = {}
 
     def end(self) -> None:
@@ -119,7 +117,7 @@ class Uploader:
         """
         self._pipeline.start(connections)
         try:
-            with NetworkMonitor(self._link.address_lost), contextlib.suppress(Stopped):
+            with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 for batch in batches(files):
                     self._announce(batch)
                 self._settle_leased()

@@ -154,13 +154,14 @@ class Lane:
 
 @dataclass(frozen=True)
 class LinkReport:
-    """How the link was during a transfer. `longest_outage_s` is the longest time in which nothing arrived.
+    """How the link was during a transfer.
 
-    `resent_bytes` were sent, or at least given to the network, and had to be sent again.
+    `network_changes`: how often this machine got another address, or a router before it did. `longest_outage_s` is the
+    longest time in which nothing arrived. `resent_bytes` were given to the network and had to be sent again.
     """
 
     connections_lost: int = 0
-    address_changes: int = 0
+    network_changes: int = 0
     longest_outage_s: float = 0.0
     resent_bytes: int = 0
 
@@ -169,13 +170,13 @@ class LinkReport:
         if self.connections_lost == 0:
             return None
         facts = [_count(self.connections_lost, "connection was lost", "connections were lost")]
-        if self.address_changes:
-            facts.append("this machine's network address changed " + _count(self.address_changes, "time", "times"))
+        if self.network_changes:
+            facts.append(f"this machine's network changed {_count(self.network_changes, 'time', 'times')}")
         if self.longest_outage_s >= 1:
             facts.append(f"the longest outage was {self.longest_outage_s:.0f} s")
         if self.resent_bytes:
             facts.append(f"{self.resent_bytes / 1e6:.1f} MB had to be sent again")
-        if self.address_changes:
+        if self.network_changes:
             remedy = "the robot moves between networks: a cable, or one access point for the upload, avoids this"
         else:
             remedy = "a cable, a place nearer to the access point, or --connections 1 may help"
@@ -189,10 +190,10 @@ class LinkWatch:
         self._said = said
         self._clock = clock
         self._lock = threading.Lock()
-        self._connections_lost = self._address_changes = self._resent_bytes = 0
+        self._connections_lost = self._network_changes = self._resent_bytes = 0
         self._longest_outage_s = 0.0
         self._outage_since: float | None = None
-        self._address_lost_at = float("-inf")
+        self._moved_at = float("-inf")
         self._said_at: dict[str, float] = {}
         self._store_url: str | None = None
 
@@ -200,19 +201,22 @@ class LinkWatch:
         """Return what happened so far."""
         with self._lock:
             return LinkReport(
-                self._connections_lost, self._address_changes, round(self._longest_outage_s, 1), self._resent_bytes
+                self._connections_lost, self._network_changes, round(self._longest_outage_s, 1), self._resent_bytes
             )
 
-    def address_lost(self, address: str) -> None:
-        """Tell that this machine no longer has an address that connections were made from."""
+    def moved(self, address: str | None) -> None:
+        """Tell that this machine no longer has an address that connections were made from, or what looks like it."""
         with self._lock:
-            self._address_changes += 1
-            self._address_lost_at = self._clock()
-        self._say("address", f"this machine no longer has the address {address} (another network?), reconnecting")
+            self._network_changes += 1
+            self._moved_at = self._clock()
+        if address is not None:
+            self._say("address", f"this machine no longer has the address {address} (another network?), reconnecting")
+        else:
+            self._say("path", "old connections get no answer and new ones do (another network?), reconnecting")
 
     def has_moved(self) -> bool:
         """Say whether a connection broke just now because the address changed: then another is worth trying at once."""
-        return self._clock() - self._address_lost_at < _MOVED_S
+        return self._clock() - self._moved_at < _MOVED_S
 
     def lost(self, url: str, backoff: Backoff, error: BaseException | None, reason: str, resent_bytes: int = 0) -> None:
         """Take note of one more failed try, and tell about it where it will not pass by itself in seconds.
