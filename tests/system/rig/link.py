@@ -6,6 +6,7 @@ connections then hang without an answer, as when a robot moves from one access p
 
 import contextlib
 import fcntl
+import itertools
 import os
 import selectors
 import struct
@@ -117,7 +118,7 @@ class SlowLink:
     @staticmethod
     def _longest(direction: _Direction, since: float, until: float) -> float:
         moments = [since, *(moment for moment in direction.arrivals if since < moment < until), until]
-        return max(later - earlier for earlier, later in zip(moments, moments[1:], strict=False))
+        return max(later - earlier for earlier, later in itertools.pairwise(moments))
 
     def start(self) -> None:
         """Make the namespaces and connect them."""
@@ -161,7 +162,7 @@ class SlowLink:
 
 @contextmanager
 def slow_link(*, rate_bytes_per_s: float, delay_s: float = 0.02) -> Iterator[SlowLink]:
-    """Make a slow link for as long as the context lasts; skip, or fail where all is required, where none can be made."""
+    """Make a slow link for as long as the context lasts; skip, or fail where all is required, without root."""
     if os.geteuid() != 0:
         missing("a slow link is made of network namespaces, which only root may make")
     need("ip")

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import urllib3
 
 from kleinkram.client._http import store_unreachable
-from kleinkram.client._retry import Backoff
 from kleinkram.client._network import NetworkMonitor
+from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import (
     DestinationDiffers,
     DestinationRefused,
@@ -121,11 +121,12 @@ class Downloader:
         while True:
             try:
                 return self._links(file_ids)
-            except ServerUnreachable:
-                backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
-                self._link.waits_for_server(self._server)
-                if not backoff.pause():
-                    raise
+            except ServerUnreachable as error:
+                failure = error
+            backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
+            self._link.waits_for_server(self._server)
+            if not backoff.pause():
+                raise failure
 
     def _guard(self) -> None:
         try:

@@ -21,7 +21,7 @@ PATIENCE_S = 240.0
 MOST_TROUBLED = 3
 
 _LEAST_SLICE_BYTES = 64 * 1024
-_QUICK_SLICE_S = 0.1
+_QUICK_SLICE_S = 0.5
 
 _GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
 # What is no word about one object: of the store as a whole, where all others would meet the same.
@@ -143,11 +143,11 @@ class GetAnswer:
         """
         if self._response is None:
             return
-        slice_bytes = min(_LEAST_SLICE_BYTES, self._slice_bytes)
+        slice_bytes = least_bytes = min(_LEAST_SLICE_BYTES, self._slice_bytes)
         began_at = time.monotonic()
         while data := self._response.read(slice_bytes, decode_content=False):
             is_quick = time.monotonic() - began_at < _QUICK_SLICE_S
-            slice_bytes = min(2 * slice_bytes, self._slice_bytes) if is_quick else _LEAST_SLICE_BYTES
+            slice_bytes = min(2 * slice_bytes, self._slice_bytes) if is_quick else max(slice_bytes // 2, least_bytes)
             yield data
             began_at = time.monotonic()
         self._response.release_conn()
