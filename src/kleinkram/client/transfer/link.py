@@ -29,7 +29,7 @@ QUICK_S, SLOW_S = 5.0, 15.0
 # After a lost connection, and on a link that is neither quick nor slow, the next step up waits for so long.
 CALM_S = 60.0
 QUICK_AFTER_LOSS_S = 1.0
-_WORTH_SAYING_S = 5.0
+_WORTH_SAYING_S, _SAY_AGAIN_S = 5.0, 60.0
 _PROBE_S = 3.0
 RECONNECT_S = 0.05
 _MOVED_S = 1.0
@@ -233,7 +233,7 @@ class LinkWatch:
                 self._outage_since = self._clock() - (SILENCE_S if silent else 0.0)
         if silent:
             host = urlsplit(url).netloc
-            self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting")
+            self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting", again_after_s=_SAY_AGAIN_S)
         elif backoff.lasting_s() >= _WORTH_SAYING_S:
             self._say(
                 "trouble",
