@@ -23,8 +23,14 @@ from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 
 # What users are told. The kernel's timers below end between 13 and 15 seconds after the last answer.
 SILENCE_S = 15
-_UNACKNOWLEDGED_MS = 13_000
-_PROBE_AFTER_S, _PROBE_EVERY_S, _PROBES = 5, 3, 3
+# Linux has all but TCP_KEEPALIVE, which is what macOS calls TCP_KEEPIDLE.
+_TCP_OPTIONS = {
+    "TCP_KEEPIDLE": 5,
+    "TCP_KEEPALIVE": 5,
+    "TCP_KEEPINTVL": 3,
+    "TCP_KEEPCNT": 3,
+    "TCP_USER_TIMEOUT": 13_000,
+}
 _LOOK_EVERY_S = 0.25
 # Bytes that are not acknowledged for so long are worth trying another connection beside them.
 _STALLED_S = 2.0
@@ -38,16 +44,12 @@ _open_connections: "weakref.WeakSet[WatchedConnection]" = weakref.WeakSet()
 
 def socket_options() -> list[tuple[int, int, int]]:
     """Return the options of a connection that the kernel is to end when the other side is silent."""
-    options = [*HTTPConnection.default_socket_options, (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
-    if sys.platform == "linux":
-        tcp = socket.IPPROTO_TCP
-        options += [
-            (tcp, socket.TCP_KEEPIDLE, _PROBE_AFTER_S),
-            (tcp, socket.TCP_KEEPINTVL, _PROBE_EVERY_S),
-            (tcp, socket.TCP_KEEPCNT, _PROBES),
-            (tcp, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS),
-        ]
-    return options
+    tcp = {name: getattr(socket, name) for name in _TCP_OPTIONS if hasattr(socket, name)}
+    return [
+        *HTTPConnection.default_socket_options,
+        (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+        *((socket.IPPROTO_TCP, option, _TCP_OPTIONS[name]) for name, option in tcp.items()),
+    ]
 
 
 def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket's name depends on its family
