@@ -9,7 +9,7 @@ import pytest
 from tests.acceptance.conftest import Instance, Terminal, end, wait_until
 
 MIB = 1024 * 1024
-PART = 5 * MIB
+PART, RANGE = 5 * MIB, 8 * MIB  # of uploads and of downloads
 
 
 def random_file(path: Path, size: int) -> Path:
@@ -167,11 +167,11 @@ def test_a_folder_keeps_its_tree(terminal: Terminal, project: str, tmp_path: Pat
 
 
 def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, project: str, tmp_path: Path) -> None:
-    file = random_file(tmp_path / "big.bin", 6 * PART)
+    file = random_file(tmp_path / "big.bin", 6 * RANGE)
     terminal.run("upload", "-p", project, "-m", "m", "--create", file)
     dest = tmp_path / "back"
     download = ["download", "-p", project, "-m", "m", "--dest", dest, "--connections", "1"]
-    process = terminal.start(*download, "--limit-rate", "10MiB")
+    process = terminal.start(*download, "--limit-rate", "16MiB")
     journal = dest / "big.bin.klein-journal"
 
     def ranges() -> int:
@@ -184,7 +184,7 @@ def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, pr
     kept = ranges()
 
     (resumed,) = terminal.run(*download, "--json").json()["items"]
-    assert resumed["moved_bytes"] == file.stat().st_size - kept * PART
+    assert resumed["moved_bytes"] == file.stat().st_size - kept * RANGE
     assert (dest / "big.bin").read_bytes() == file.read_bytes()
     assert [path.name for path in dest.iterdir()] == ["big.bin"]
 
