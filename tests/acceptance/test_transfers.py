@@ -9,7 +9,7 @@ import pytest
 from tests.acceptance.conftest import Instance, Terminal, end, wait_until
 
 MIB = 1024 * 1024
-PART = 8 * MIB
+PART, RANGE = 5 * MIB, 8 * MIB  # of uploads and of downloads
 
 
 def random_file(path: Path, size: int) -> Path:
@@ -23,7 +23,7 @@ def random_file(path: Path, size: int) -> Path:
 def test_an_upload_that_was_killed_sends_only_the_rest(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 6 * PART + 5)
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--connections", "2"]
-    process = terminal.start(*upload, "--limit-rate", "16MiB")
+    process = terminal.start(*upload, "--limit-rate", "10MiB")
     wait_until(lambda: terminal.parts_sent() >= 2, "two parts sent")
     process.send_signal(signal.SIGKILL)
     end(process)
@@ -43,7 +43,7 @@ def test_an_upload_that_was_killed_sends_only_the_rest(terminal: Terminal, proje
 def test_bytes_that_changed_between_two_runs_are_sent_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 5 * PART)
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--connections", "1"]
-    process = terminal.start(*upload, "--limit-rate", "16MiB")
+    process = terminal.start(*upload, "--limit-rate", "10MiB")
     wait_until(lambda: terminal.parts_sent() >= 2, "two parts sent")
     process.send_signal(signal.SIGKILL)
     end(process)
@@ -73,7 +73,7 @@ def test_an_upload_survives_a_crash_of_the_other_side(
     terminal: Terminal, instance: Instance, project: str, tmp_path: Path, part: str
 ) -> None:
     file = random_file(tmp_path / "big.bin", 6 * PART)
-    process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, "--limit-rate", "16MiB")
+    process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, "--limit-rate", "10MiB")
     wait_until(lambda: terminal.parts_sent() >= 1, "a part sent")
     dead = instance.kill_part(part)
     ended = end(process)
@@ -85,7 +85,7 @@ def test_an_upload_survives_a_crash_of_the_other_side(
 def test_a_file_that_changes_while_it_is_read_is_refused(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "growing.bin", 4 * PART)
     calm = random_file(tmp_path / "calm.bin", 1000)
-    process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, calm, "--limit-rate", "16MiB")
+    process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, calm, "--limit-rate", "10MiB")
     wait_until(lambda: terminal.parts_sent() >= 1, "a part sent")
     with file.open("ab") as out:
         out.write(b"more")
@@ -104,8 +104,8 @@ def test_of_two_who_race_for_a_name_one_wins_and_one_is_told(
     terminal.run("mission", "create", "m", "-p", project)
     one = random_file(tmp_path / "1" / "cam.bin", 3 * PART)
     two = random_file(tmp_path / "2" / "cam.bin", 3 * PART)
-    first = terminal.start("upload", "-p", project, "-m", "m", one, "--limit-rate", "16MiB")
-    second = other_terminal.start("upload", "-p", project, "-m", "m", two, "--limit-rate", "16MiB")
+    first = terminal.start("upload", "-p", project, "-m", "m", one, "--limit-rate", "10MiB")
+    second = other_terminal.start("upload", "-p", project, "-m", "m", two, "--limit-rate", "10MiB")
     ends = [end(first), end(second)]
     assert sorted(ended.code for ended in ends) == [0, 5], ends
     winner = one if ends[0].code == 0 else two
@@ -167,7 +167,7 @@ def test_a_folder_keeps_its_tree(terminal: Terminal, project: str, tmp_path: Pat
 
 
 def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, project: str, tmp_path: Path) -> None:
-    file = random_file(tmp_path / "big.bin", 6 * PART)
+    file = random_file(tmp_path / "big.bin", 6 * RANGE)
     terminal.run("upload", "-p", project, "-m", "m", "--create", file)
     dest = tmp_path / "back"
     download = ["download", "-p", project, "-m", "m", "--dest", dest, "--connections", "1"]
@@ -184,7 +184,7 @@ def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, pr
     kept = ranges()
 
     (resumed,) = terminal.run(*download, "--json").json()["items"]
-    assert resumed["moved_bytes"] == file.stat().st_size - kept * PART
+    assert resumed["moved_bytes"] == file.stat().st_size - kept * RANGE
     assert (dest / "big.bin").read_bytes() == file.read_bytes()
     assert [path.name for path in dest.iterdir()] == ["big.bin"]
 

@@ -7,7 +7,7 @@ through before the cut, of parts that are sent alone each does.
 import os
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,12 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client import Client, connect
+from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
+from kleinkram.client.transfer.download import fetch
+from kleinkram.client.transfer.progress import Unwatched
 from kleinkram.contract.events import Change
-from kleinkram.contract.files import FileFilter
+from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
 from tests.integration.conftest import StartApi
@@ -43,6 +46,17 @@ class Behind:
     to_store: Cutter
 
 
+class Shown(Unwatched):
+    """What a progress bar is told."""
+
+    def __init__(self) -> None:
+        self.steps: list[int] = []
+
+    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Note a step of the bar."""
+        self.steps.append(size_bytes)
+
+
 @pytest.fixture(scope="module")
 def behind(start_api: StartApi, store: RunningStore) -> Iterator[Behind]:
     """A program behind such proxies."""
@@ -57,7 +71,10 @@ def test_uploads_and_downloads_arrive(behind: Behind, tmp_path: Path) -> None:
     file.write_bytes(os.urandom(32 * _MIB + 5))
     os.utime(file, (1_700_000_000, 1_700_000_000))
     mission_id = uuid.UUID(behind.api.mission(behind.api.project()["id"])["id"])
-    (sent,) = upload(behind.client, mission_id, plan_upload([file])).results
+    shown = Shown()
+    (sent,) = upload(behind.client, mission_id, plan_upload([file]), watcher=shown).results
+    assert min(shown.steps) > 0, "the bar never goes back, though parts were sent again"
+    assert sum(shown.steps) == file.stat().st_size
     assert sent.outcome.value == "uploaded"
     assert behind.to_store.cuts > 0, "the cut fell into the upload"
     before = behind.to_store.cuts
@@ -65,6 +82,21 @@ def test_uploads_and_downloads_arrive(behind: Behind, tmp_path: Path) -> None:
     (came,) = download(behind.client, plan).results
     assert (came.outcome.value, came.local.read_bytes()) == ("downloaded", file.read_bytes())
     assert behind.to_store.cuts > before, "and into the download"
+
+
+def test_a_download_waits_for_a_server_that_does_not_answer_for_a_while(behind: Behind, tmp_path: Path) -> None:
+    mission_id = uuid.UUID(behind.api.mission(behind.api.project()["id"])["id"])
+    upload_one(behind.api, str(mission_id), "notes.txt", b"notes")
+    plan = plan_download(behind.client.files.list(FileFilter(mission_id=mission_id)), tmp_path)
+    failures = iter([ServerUnreachable(url=behind.to_api.url, reason="no route to host")] * 2)
+
+    def links(file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
+        for failure in failures:
+            raise failure
+        return behind.client.files.links(file_ids).items
+
+    (came,) = fetch(links, behind.to_api.url, plan).results
+    assert (came.outcome.value, came.local.read_bytes()) == ("downloaded", b"notes")
 
 
 def test_who_follows_events_hears_of_all(behind: Behind) -> None:

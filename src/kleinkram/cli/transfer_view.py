@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import asdict
 
 from kleinkram.cli.errors import EXIT_CODES
 from kleinkram.cli.render import escape, note
@@ -32,7 +33,8 @@ def plain_report(report: TransferReport) -> dict[str, object]:
         }
         for result in report.results
     ]
-    return {"items": items, "left_out": [plain_error(error) for error in report.left_out]}
+    left_out = [plain_error(error) for error in report.left_out]
+    return {"items": items, "left_out": left_out, "link": asdict(report.link)}
 
 
 def say_summary(report: TransferReport, elapsed_s: float) -> None:
@@ -42,6 +44,8 @@ def say_summary(report: TransferReport, elapsed_s: float) -> None:
     outcomes = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items())) or "nothing"
     speed = f", {size(int(moved / elapsed_s))}/s" if moved and elapsed_s > 0 else ""
     note(f"{outcomes}; {size(moved)} in {elapsed_s:.1f} s{speed}")
+    if (advice := report.link.advice()) is not None:
+        note(advice)
     for request_id in sorted({found for error in report.failures if (found := request_id_of(error))}):
         note(f"Request id: {escape(request_id)}")
 

@@ -17,6 +17,7 @@ import urllib3
 from pydantic import BaseModel, ValidationError
 
 import kleinkram
+from kleinkram.client._network import WatchedPools
 from kleinkram.client._retry import Backoff
 from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import (
@@ -63,7 +64,7 @@ class Api:
         self.endpoint = endpoint
         self._base = f"{endpoint.url}/api/v1"
         timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
-        self._pool = urllib3.PoolManager(maxsize=8, retries=False, timeout=timeout)
+        self._pool = WatchedPools(maxsize=8, timeout=timeout)
         self._server_ahead = datetime.timedelta(0)
 
     def now(self) -> datetime.datetime:

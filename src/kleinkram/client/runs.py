@@ -173,7 +173,7 @@ class Runs:
         def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
             return [_as_link(each) for each in self.artifact_urls(run_id, ids)]
 
-        return fetch(links, plan, overwrite=overwrite, watcher=watcher)
+        return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
     def findings(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[FindingRead]:
         """Yield what runs have noticed."""

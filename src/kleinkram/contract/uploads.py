@@ -12,7 +12,8 @@ from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
 
-MIN_PART_BYTES = 8 * 1024 * 1024
+# The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.
+MIN_PART_BYTES = 5 * 1024 * 1024
 MAX_PARTS = 10_000
 MAX_FILE_BYTES = 5 * 1024**4
 MAX_FILES_PER_REQUEST = 200
@@ -25,7 +26,7 @@ PartNumber = Annotated[int, Field(ge=1, le=MAX_PARTS)]
 def part_size_bytes(file_size_bytes: int) -> int:
     """Return the part size of a file: a function of its size alone, so that every client cuts alike.
 
-    8 MiB up to 64 GiB, then the smallest multiple of 8 MiB that needs no more than 8 192 parts (S3 allows 10 000).
+    5 MiB up to 40 GiB, then the smallest multiple of 5 MiB that needs no more than 8 192 parts (S3 allows 10 000).
     """
     steps = -(-file_size_bytes // (8192 * MIN_PART_BYTES))
     return MIN_PART_BYTES * max(1, steps)

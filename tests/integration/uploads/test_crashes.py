@@ -17,7 +17,7 @@ from tests.integration.jobs import on_site
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, crc64, send, sha256, sign
 
-_PART = 8 * 1024 * 1024
+_PART = 5 * 1024 * 1024
 
 
 def _tend(api: Api) -> None:

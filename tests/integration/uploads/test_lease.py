@@ -16,7 +16,7 @@ from tests.integration.conftest import StartApi
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, parts_of, send, sign, wait_until
 
-_PART = 8 * 1024 * 1024
+_PART = 5 * 1024 * 1024
 _LEASE_S = 8.0
 
 

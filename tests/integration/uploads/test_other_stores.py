@@ -22,7 +22,7 @@ from tests.integration.uploading import begin, complete, fetch, put, send, sign,
 from tests.ports import choose_port
 from tests.stack import RunningStore
 
-_PART = 8 * 1024 * 1024
+_PART = 5 * 1024 * 1024
 
 
 class _Sha256Alone:

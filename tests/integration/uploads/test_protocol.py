@@ -10,7 +10,7 @@ from tests.integration import uploading
 from tests.integration.running import Api
 from tests.integration.uploading import begin, complete, crc64, fetch, parts_of, put, send, sha256, sign, upload
 
-_PART = 8 * 1024 * 1024
+_PART = 5 * 1024 * 1024
 
 
 @pytest.fixture(name="one")

@@ -19,7 +19,7 @@ from tests.integration.uploading import begin, complete, crc64, send, sha256
 from tests.integration.uploading import upload as upload_whole
 from tests.stack import RunningStore
 
-_PART = 8 * 1024 * 1024
+_PART = 5 * 1024 * 1024
 _PASSING: "list[Reply | Lost]" = [
     Reply(400, "RequestTimeout"),
     Reply(403, "AccessDenied"),

@@ -26,7 +26,7 @@ CONNECTIONS = 4
 MB = 1_000_000
 _KILLS_A_ROUND = 2
 _ATTEMPTS = 6
-# Large files have parts of 8 MiB, and a round's small ones are more than are announced at once.
+# Large files have parts of 5 MiB, and a round's small ones are more than are announced at once.
 _SMALL_FILES = 75
 
 

@@ -21,7 +21,7 @@ fields:
   - {name: temperature, type: number, unit: degC}
 """
 _LARGE_BYTES = 120_000_000
-_PARTS = -(-_LARGE_BYTES // (8 << 20))
+_PARTS = -(-_LARGE_BYTES // (5 << 20))
 
 
 @pytest.mark.slow

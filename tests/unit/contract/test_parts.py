@@ -9,7 +9,7 @@ _GIB = 1024**3
 
 @pytest.mark.parametrize(
     ("size_bytes", "part_bytes"),
-    [(0, 8 << 20), (1, 8 << 20), (64 * _GIB, 8 << 20), (64 * _GIB + 1, 16 << 20), (MAX_FILE_BYTES, 640 << 20)],
+    [(0, 5 << 20), (1, 5 << 20), (40 * _GIB, 5 << 20), (40 * _GIB + 1, 10 << 20), (MAX_FILE_BYTES, 640 << 20)],
 )
 def test_part_size_follows_from_file_size(size_bytes: int, part_bytes: int) -> None:
     assert part_size_bytes(size_bytes) == part_bytes

@@ -2,6 +2,7 @@
 
 from kleinkram.client.transfer.destination import DownloadPlan, Target, plan_download
 from kleinkram.client.transfer.download import download
+from kleinkram.client.transfer.link import LinkReport
 from kleinkram.client.transfer.outcome import Outcome, TransferReport, TransferResult
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan, plan_upload
 from kleinkram.client.transfer.progress import Watcher
@@ -10,6 +11,7 @@ from kleinkram.client.transfer.verify import Verdict, Verified, verify_local, ve
 
 __all__ = [
     "DownloadPlan",
+    "LinkReport",
     "LocalFile",
     "Outcome",
     "Target",

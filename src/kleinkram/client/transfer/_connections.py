@@ -18,11 +18,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, cast
 
 import urllib3
-from urllib3.connection import HTTPConnection, HTTPSConnection
+from urllib3.connection import HTTPSConnection
 from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 from urllib3.util.wait import wait_for_write
 
 import kleinkram
+from kleinkram.client._network import WatchedConnection, WatchedPools
 from kleinkram.client.transfer._source import FileSlice
 
 CONNECT_TIMEOUT_S = 10.0
@@ -50,7 +51,7 @@ class Reply(NamedTuple):
     content: bytes
 
 
-class _PutConnection(HTTPConnection):
+class _PutConnection(WatchedConnection):
     """A connection that PUTs slices of files, and gives sending as much time as receiving."""
 
     _incoming: io.BufferedReader | None = None
@@ -162,12 +163,12 @@ class _TlsPool(_Pool, HTTPSConnectionPool):
     ConnectionCls = _TlsConnection
 
 
-class Connections(urllib3.PoolManager):
+class Connections(WatchedPools):
     """Connections to stores, `most` kept of each; nothing is tried twice."""
 
     def __init__(self, most: int) -> None:
         timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
-        super().__init__(_STORES, maxsize=most, retries=False, timeout=timeout)
+        super().__init__(_STORES, maxsize=most, timeout=timeout)
         self.pool_classes_by_scheme = {"http": _PlainPool, "https": _TlsPool}
         self._stores: dict[str, _Pool] = {}
 

@@ -5,6 +5,7 @@ Memory: one slice a thread. Links are asked for in batches ahead of need, and ag
 
 import contextlib
 import threading
+import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,14 +13,23 @@ from dataclasses import dataclass
 import urllib3
 
 from kleinkram.client._http import store_unreachable
+from kleinkram.client._network import NetworkMonitor
 from kleinkram.client._retry import Backoff
-from kleinkram.client.errors import DestinationDiffers, DestinationRefused, StoreTroubled, TransferFailed, VerifyFailed
+from kleinkram.client.errors import (
+    DestinationDiffers,
+    DestinationRefused,
+    ServerUnreachable,
+    StoreTroubled,
+    TransferFailed,
+    VerifyFailed,
+)
 from kleinkram.client.transfer._fetching import Fetching
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._place import make_folders, regular_size
 from kleinkram.client.transfer._source import SLICE_BYTES
-from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, GetAnswer, StoreDoor, Trouble
+from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, GetAnswer, StoreDoor
 from kleinkram.client.transfer.destination import Target
+from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkReport, LinkWatch, Window
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -53,6 +63,7 @@ class Downloader:
     def __init__(
         self,
         links: Links,
+        server: str,
         *,
         pace: Pace,
         watcher: Watcher,
@@ -60,10 +71,11 @@ class Downloader:
         ended: Callable[[TransferResult], None],
     ) -> None:
         self._links = links
+        self._server = server
         self._stop = Stop()
         self._pace = pace
         self._watcher = watcher
-        self._trouble = Trouble(watcher.said)
+        self._link = LinkWatch(watcher.said)
         self._overwrite = overwrite
         self._ended = ended
         self._under_way = Budget(self._stop, _FILES_UNDER_WAY)
@@ -73,21 +85,22 @@ class Downloader:
         self._open: dict[uuid.UUID, Fetching] = {}
         self._troubled = 0
 
-    def run(self, targets: Sequence[Target], connections: int) -> None:
-        """Download the files; returns when each has ended.
+    def run(self, targets: Sequence[Target], connections: int) -> LinkReport:
+        """Download the files; returns when each has ended, with how the link was.
 
         Raises:
             KleinkramError: something that concerns all files; what has arrived stays for the next run.
         """
         self._targets = {target.file.id: target for target in targets}
         self._store = StoreDoor(connections)
+        self._lane = Lane(self._stop, Window(connections))
         self._lines = threading.BoundedSemaphore(connections)
         # One more than there are connections: while one takes the checksum of what arrived, none of them idles.
         threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections + 1)]
         for thread in threads:
             thread.start()
         try:
-            with contextlib.suppress(Stopped):
+            with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 self._hand_out(targets)
                 self._under_way.wait_until_free()
         finally:
@@ -98,7 +111,22 @@ class Downloader:
                 fetching.close()
             self._store.close()
         if self._stop.failure is not None:
+            self._link.explain(self._stop.failure, self._server)
             raise self._stop.failure
+        return self._link.report()
+
+    def _ask_links(self, file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
+        """Ask where files are, for as long as a store would be waited for."""
+        backoff: Backoff | None = None
+        while True:
+            try:
+                return self._links(file_ids)
+            except ServerUnreachable as error:
+                failure = error
+            backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
+            self._link.waits_for_server(self._server)
+            if not backoff.pause():
+                raise failure
 
     def _guard(self) -> None:
         try:
@@ -143,7 +171,7 @@ class Downloader:
         if not batch:
             return
         try:
-            links = self._links([target.file.id for target in batch])
+            links = self._ask_links([target.file.id for target in batch])
         except (FileUnavailable, NotFound) as error:
             if len(batch) == 1:
                 self._end(batch[0], Outcome.refused, error=error)
@@ -178,7 +206,7 @@ class Downloader:
         fetching = piece.fetching
         try:
             if not fetching.ended:
-                with self._lines:
+                with self._lines, self._lane.place() as place, self._lane.turn(place, piece.last - piece.first + 1):
                     self._fetch(piece)
                 fetching.arrived(piece.number, piece.last - piece.first + 1)
                 fetching.hash_ready(self._stop.check)
@@ -190,21 +218,30 @@ class Downloader:
     def _fetch(self, piece: _Piece) -> None:
         fetching, offset, refusals = piece.fetching, piece.first, 0
         backoff = Backoff(PATIENCE_S, self._stop.wait)
+        began_at = time.monotonic()
         while offset <= piece.last:
             answer = self._store.get(fetching.link.url, offset, piece.last, SLICE_BYTES)
             reached = self._receive(piece, offset, answer)
+            if answer.error is not None:
+                self._lane.lost()
             if reached > offset:
                 offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
                 self._troubled = 0
+                if answer.error is not None:
+                    self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
             elif answer.answer in {Answer.taken, Answer.try_again}:
-                self._trouble.note(backoff, answer.why)
-                if not backoff.pause():
+                self._lane.lost()
+                self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
+                if self._link.has_moved():
+                    self._stop.wait(RECONNECT_S)
+                elif not backoff.pause():
                     raise self._gave_up(fetching, answer)
             elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
                 refusals += 1
-                fetching.link = self._links([fetching.link.file_id])[0]
+                fetching.link = self._ask_links([fetching.link.file_id])[0]
             else:
                 raise TransferFailed(path=fetching.link.path, reason=answer.reason)
+        self._lane.arrived(piece.last - piece.first + 1, time.monotonic() - began_at)
 
     def _receive(self, piece: _Piece, offset: int, answer: GetAnswer) -> int:
         """Write what the store gives, and return the offset reached; less than asked when the connection ended."""
@@ -216,6 +253,7 @@ class Downloader:
                 self._pace.spend(len(data), self._stop.wait)
                 piece.fetching.write(offset, data)
                 offset += len(data)
+                self._link.arrived()
                 self._watcher.moved(path, len(data), total)
         except urllib3.exceptions.HTTPError as error:
             answer.error = error

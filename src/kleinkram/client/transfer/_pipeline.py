@@ -10,6 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from kleinkram.client._http import store_unreachable
 from kleinkram.client._retry import Backoff
@@ -17,7 +18,8 @@ from kleinkram.client.errors import FileChanged, FileUnreadable, StoreTroubled, 
 from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
 from kleinkram.client.transfer._sending import Part, Sending
 from kleinkram.client.transfer._source import FileSlice
-from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, PutAnswer, StoreDoor, Trouble
+from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, PutAnswer, StoreDoor
+from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkWatch, Window
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
@@ -49,6 +51,7 @@ class Pipeline:
         stop: Stop,
         *,
         pace: Pace,
+        link: LinkWatch,
         watcher: Watcher,
         ended: Callable[[TransferResult], None],
     ) -> None:
@@ -56,7 +59,7 @@ class Pipeline:
         self._stop = stop
         self._pace = pace
         self._watcher = watcher
-        self._trouble = Trouble(watcher.said)
+        self._link = link
         self._ended = ended
         self._ahead = Budget(stop, AHEAD_BYTES)
         self._under_way = Budget(stop, _FILES_UNDER_WAY)
@@ -66,12 +69,12 @@ class Pipeline:
         self._open: dict[uuid.UUID, Sending] = {}
         self._troubled = 0
         self._leases: dict[uuid.UUID, Sending] = {}
-        self._again = threading.Lock()
         self._threads: list[threading.Thread] = []
 
     def start(self, connections: int) -> None:
         """Start the threads; so many send."""
         self._store = StoreDoor(connections)
+        self._lane = Lane(self._stop, Window(connections))
         loops = [self._sign_loop, self._finish_loop, *[self._send_loop] * connections]
         self._threads = [threading.Thread(target=self._guard, args=(loop,), daemon=True) for loop in loops]
         for thread in self._threads:
@@ -196,13 +199,21 @@ class Pipeline:
                 self._part_over(part)
 
     def _send(self, part: Part, signed: SignedPart) -> None:
+        with self._lane.place() as place:
+            self._send_in_turn(part, signed, place)
+
+    def _send_in_turn(self, part: Part, signed: SignedPart, place: int) -> None:
         backoff: Backoff | None = None  # a part may be on its way for long, and be cut off then
+        began_at = time.monotonic()
+        shown = [0]
         refusals = 0
         while True:
-            if signed.expires_at <= self._uploads.now():  # spares sending it in vain
-                signed = self._uploads.sign([part.to_sign()]).items[0]
-            with self._alone(backoff) if backoff else contextlib.nullcontext():
-                answer = self._put(part, signed)
+            with self._lane.turn(place, part.size_bytes) as waited_s:
+                if backoff is not None:
+                    backoff.excuse(waited_s)
+                if signed.expires_at <= self._uploads.now():  # spares sending it in vain
+                    signed = self._uploads.sign([part.to_sign()]).items[0]
+                answer = self._put(part, signed, shown)
             if answer.answer is Answer.taken:
                 part.sending.record(part, answer.etag)
                 self._troubled = 0
@@ -210,10 +221,17 @@ class Pipeline:
             if answer.answer is Answer.gone:
                 raise UploadGone(upload_id=str(part.sending.upload.id))
             if answer.answer is Answer.try_again:
-                backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
-                self._trouble.note(backoff, answer.why)
-                if not backoff.pause():
+                if backoff is None or self._lane.arrived_at > began_at:  # other parts arrive: the way is open
+                    backoff, began_at = Backoff(PATIENCE_S, self._stop.wait), time.monotonic()
+                self._link.lost(signed.url, backoff, answer.error, answer.why, answer.sent_bytes)
+                if answer.error is None:
+                    self._lane.step_out(place)
+                if self._link.has_moved():
+                    self._stop.wait(RECONNECT_S)
+                elif not backoff.pause():
                     raise self._gave_up(signed.url, part, answer)
+                if answer.error is not None:
+                    continue  # the address is as good as before
             else:
                 part.sending.source.check_unchanged()
                 refusals += 1
@@ -221,32 +239,28 @@ class Pipeline:
                     raise TransferFailed(path=part.sending.file.path, reason=answer.reason)
             signed = self._uploads.sign([part.to_sign()]).items[0]
 
-    @contextlib.contextmanager
-    def _alone(self, backoff: Backoff) -> Iterator[None]:
-        """Let one part at a time be sent again: of a slow line cut once a minute, each has the most then."""
+    def _put(self, part: Part, signed: SignedPart, shown: list[int]) -> PutAnswer:
         began_at = time.monotonic()
-        while not self._again.acquire(timeout=0.2):
-            self._stop.check()
-        backoff.excuse(time.monotonic() - began_at)
-        try:
-            yield
-        finally:
-            self._again.release()
+        sent = [0]
+        answer = self._store.put(signed.url, signed.headers, part.size_bytes, self._body(part, sent, shown))
+        took_s = time.monotonic() - began_at
+        if answer.answer is Answer.taken:
+            self._lane.arrived(part.size_bytes, took_s)
+            self._link.arrived(took_s)
+        elif answer.answer is Answer.try_again:
+            self._lane.lost()
+        return replace(answer, sent_bytes=sent[0])
 
-    def _put(self, part: Part, signed: SignedPart) -> PutAnswer:
-        moved = [0]
-        answer = self._store.put(signed.url, signed.headers, part.size_bytes, self._body(part, moved))
-        if answer.answer is not Answer.taken:
-            self._watcher.moved(part.sending.file.path, -moved[0], part.sending.file.size_bytes)
-        return answer
-
-    def _body(self, part: Part, moved: list[int]) -> Iterator[FileSlice]:
+    def _body(self, part: Part, sent: list[int], shown: list[int]) -> Iterator[FileSlice]:
+        """Yield the part's bytes. Those that were `shown` at an earlier try are not shown again: no bar goes back."""
         for piece in part.sending.source.stretches(part.offset, part.size_bytes):
             self._stop.check()
             self._pace.spend(piece.length, self._stop.wait)
             yield piece
-            moved[0] += piece.length
-            self._watcher.moved(part.sending.file.path, piece.length, part.sending.file.size_bytes)
+            sent[0] += piece.length
+            if sent[0] > shown[0]:
+                self._watcher.moved(part.sending.file.path, sent[0] - shown[0], part.sending.file.size_bytes)
+                shown[0] = sent[0]
 
     def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
         self._troubled += 1

@@ -6,21 +6,22 @@ Knows nothing of uploads or files. One pool of connections, shared by the thread
 import enum
 import http.client
 import re
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import urllib3
 
 from kleinkram.client._http import reason_of
-from kleinkram.client._retry import Backoff
 from kleinkram.client.transfer._connections import Connections
 from kleinkram.client.transfer._source import FileSlice
 
 PATIENCE_S = 240.0
 # Of files that the store gave trouble with for so long, one after the other: then it is in trouble itself.
 MOST_TROUBLED = 3
-_WORTH_SAYING_S = 5.0
+
+_LEAST_SLICE_BYTES = 64 * 1024
+_QUICK_SLICE_S = 0.5
 
 _GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
 # What is no word about one object: of the store as a whole, where all others would meet the same.
@@ -44,7 +45,7 @@ class Answer(enum.Enum):
 class PutAnswer:
     """What became of a PUT: the etag when taken, else the store's word for why not.
 
-    `is_of_all`: others would meet the same.
+    `is_of_all`: others would meet the same. `sent_bytes`: how much of the body was given to the network.
     """
 
     answer: Answer
@@ -52,32 +53,12 @@ class PutAnswer:
     reason: str = ""
     error: BaseException | None = None
     is_of_all: bool = False
+    sent_bytes: int = 0
 
     @property
     def why(self) -> str:
         """Why it was not taken, in words."""
         return reason_of(self.error) if self.error else self.reason
-
-
-class Trouble:
-    """Says, once in a transfer, that the store keeps it waiting, and why. Shared by the threads of the transfer."""
-
-    def __init__(self, said: Callable[[str], None]) -> None:
-        self._said = said
-        self._is_said = False
-        self._lock = threading.Lock()
-
-    def note(self, backoff: Backoff, reason: str) -> None:
-        """Hear of one more failed try; what passes by itself in seconds is not worth a word."""
-        if backoff.lasting_s() < _WORTH_SAYING_S:
-            return
-        with self._lock:
-            first, self._is_said = not self._is_said, True
-        if first:
-            self._said(
-                f"waiting for the store, which is away or full ({reason}): goes on by itself if that ends within "
-                f"{PATIENCE_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong"
-            )
 
 
 class StoreDoor:
@@ -155,14 +136,21 @@ class GetAnswer:
         return self.error is not None or (self.answer is Answer.try_again and self._is_of_all)
 
     def slices(self) -> Iterator[bytes]:
-        """Yield the bytes.
+        """Yield the bytes: in small slices from a slow link, since what has come of a slice is lost with a connection.
 
         Raises:
             urllib3.exceptions.HTTPError: the connection ended early.
         """
-        if self._response is not None:
-            yield from self._response.stream(self._slice_bytes, decode_content=False)
-            self._response.release_conn()
+        if self._response is None:
+            return
+        slice_bytes = least_bytes = min(_LEAST_SLICE_BYTES, self._slice_bytes)
+        began_at = time.monotonic()
+        while data := self._response.read(slice_bytes, decode_content=False):
+            is_quick = time.monotonic() - began_at < _QUICK_SLICE_S
+            slice_bytes = min(2 * slice_bytes, self._slice_bytes) if is_quick else max(slice_bytes // 2, least_bytes)
+            yield data
+            began_at = time.monotonic()
+        self._response.release_conn()
 
     def close(self) -> None:
         """Drop what has not been read."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kleinkram.client._network import NetworkMonitor
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
 from kleinkram.client.transfer._flow import Stop, Stopped
 from kleinkram.client.transfer._pipeline import Pipeline
@@ -17,6 +18,7 @@ from kleinkram.client.transfer._sending import Sending
 from kleinkram.client.transfer._source import Source, WholeHash
 from kleinkram.client.transfer._store import PATIENCE_S
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
+from kleinkram.client.transfer.link import LinkReport, LinkWatch
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile
@@ -93,28 +95,29 @@ class Uploader:
         journals: Path | None = None,
     ) -> None:
         self._stop = Stop()
-        self._uploads = uploads.with_patience(PATIENCE_S, self._stop.wait)
+        self._link = LinkWatch(watcher.said)
+        self._uploads = uploads.with_patience(PATIENCE_S, self._wait_for_server)
         self._server = server
         self._mission_id = mission_id
         self._journals = Journals(journals)
         self._watcher = watcher
         self._ended = ended
-        self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, watcher=watcher, ended=ended)
+        self._pipeline = Pipeline(self._uploads, self._stop, pace=pace, link=self._link, watcher=watcher, ended=ended)
         self._leased: dict[LocalFile, NameLeased] = {}
 
     def end(self) -> None:
         """End it, from another thread: `run` returns soon, and files that had not ended stay as they are."""
         self._stop.now()
 
-    def run(self, files: Sequence[LocalFile], connections: int) -> None:
-        """Upload the files; returns when each has ended.
+    def run(self, files: Sequence[LocalFile], connections: int) -> LinkReport:
+        """Upload the files; returns when each has ended, with how the link was.
 
         Raises:
             KleinkramError: something that concerns all files; those that had not ended have not been uploaded.
         """
         self._pipeline.start(connections)
         try:
-            with contextlib.suppress(Stopped):
+            with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 for batch in batches(files):
                     self._announce(batch)
                 self._settle_leased()
@@ -123,7 +126,13 @@ class Uploader:
             self._pipeline.close()
             self._journals.close()
         if self._stop.failure is not None:
+            self._link.explain(self._stop.failure, self._server)
             raise self._stop.failure
+        return self._link.report()
+
+    def _wait_for_server(self, seconds: float) -> None:
+        self._link.waits_for_server(self._server)
+        self._stop.wait(seconds)
 
     def _announce(self, batch: Sequence[LocalFile]) -> None:
         asking = [candidate for file in batch if (candidate := self._opened(file)) is not None]

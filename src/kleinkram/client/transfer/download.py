@@ -37,6 +37,7 @@ def download(
     """
     return fetch(
         lambda file_ids: client.files.links(file_ids).items,
+        client.endpoint.url,
         plan,
         overwrite=overwrite,
         connections=connections,
@@ -47,6 +48,7 @@ def download(
 
 def fetch(
     links: Links,
+    server: str,
     plan: DownloadPlan,
     *,
     overwrite: bool = False,
@@ -54,7 +56,7 @@ def fetch(
     bytes_per_s: float | None = None,
     watcher: Watcher | None = None,
 ) -> TransferReport:
-    """Download what is planned from where `links` says it is; all else is as in `download`."""
+    """Download what is planned from where `links`, asked of a `server`, says it is; all else is as in `download`."""
     watcher = watcher or Unwatched()
     results: dict[uuid.UUID | None, TransferResult] = {}
     lock = threading.Lock()
@@ -67,9 +69,9 @@ def fetch(
     if plan.targets:
         _check_room(plan)
     watcher.began(len(plan.targets), plan.size_bytes)
-    downloader = Downloader(links, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended)
-    downloader.run(plan.targets, connections)
-    return TransferReport([results[target.file.id] for target in plan.targets], plan.left_out)
+    downloader = Downloader(links, server, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended)
+    link = downloader.run(plan.targets, connections)
+    return TransferReport([results[target.file.id] for target in plan.targets], plan.left_out, link)
 
 
 def _check_room(plan: DownloadPlan) -> None:

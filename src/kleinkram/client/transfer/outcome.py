@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kleinkram.client.errors import ClientError
+from kleinkram.client.transfer.link import LinkReport
 from kleinkram.contract.errors import KleinkramError
 
 
@@ -36,10 +37,11 @@ class TransferResult:
 
 @dataclass(frozen=True)
 class TransferReport:
-    """All files' ends, and what was left out before anything began."""
+    """All files' ends, what was left out before anything began, and how the network was meanwhile."""
 
     results: Sequence[TransferResult]
     left_out: Sequence[ClientError] = field(default_factory=list)
+    link: LinkReport = field(default_factory=LinkReport)
 
     @property
     def failures(self) -> list[KleinkramError]:

@@ -10,7 +10,7 @@ class Watcher(Protocol):
         """The whole is known."""
 
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
-        """So many more bytes of a file of `total_bytes` have moved; negative when they must move again."""
+        """So many more bytes of a file of `total_bytes` have moved; those that must move again count once."""
 
     def held(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """So many bytes of a file need not move: the other side has them."""

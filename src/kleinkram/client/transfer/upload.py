@@ -44,5 +44,5 @@ def upload(
     uploader = Uploader(
         client.uploads, client.endpoint.url, mission_id, pace=Pace(bytes_per_s), watcher=watcher, ended=ended
     )
-    uploader.run(plan.files, connections)
-    return TransferReport([results[file.path] for file in plan.files], plan.left_out)
+    link = uploader.run(plan.files, connections)
+    return TransferReport([results[file.path] for file in plan.files], plan.left_out, link)

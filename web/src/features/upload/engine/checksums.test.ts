@@ -34,7 +34,7 @@ describe("checksums", () => {
 });
 
 describe("parts", () => {
-  it.each([[0, 1], [1, 1], [64 * 1024 ** 3, 1], [64 * 1024 ** 3 + 1, 2], [5 * 1024 ** 4, 80]])("of %d bytes have %d times 8 MiB", (size, steps) => {
+  it.each([[0, 1], [1, 1], [40 * 1024 ** 3, 1], [40 * 1024 ** 3 + 1, 2], [5 * 1024 ** 4, 128]])("of %d bytes have %d times 5 MiB", (size, steps) => {
     expect(partSizeBytes(size)).toBe(steps * MIN_PART_BYTES);
   });
 });

@@ -13,7 +13,7 @@ export type UploadFinish = Schemas["UploadFinish"];
 export type UploadOutcome = Schemas["UploadOutcomes"]["items"][number];
 export type ProblemDocument = Schemas["ProblemDocument"];
 
-export const MIN_PART_BYTES = 8 * 1024 * 1024;
+export const MIN_PART_BYTES = 5 * 1024 * 1024;
 export const MAX_FILE_BYTES = 5 * 1024 ** 4;
 
 /** The size of a file's parts: a function of its size alone, as in `contract/uploads.py`. */

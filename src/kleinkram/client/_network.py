@@ -1,0 +1,205 @@
+"""Connections that notice when the network under them is gone.
+
+A robot that moves gets another address, or loses its network for a while. Its connections then hang, because nobody
+resets them. Two things end such a connection within 15 seconds: the kernel, when the other side acknowledges nothing
+that was sent and answers no keepalive probe; and `NetworkMonitor`, sooner, when this machine no longer has the address
+that the connection was made from, or when a new connection to the same place is answered while this one is not.
+"""
+
+import errno
+import socket
+import struct
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import urllib3
+from typing_extensions import Self
+from urllib3.connection import HTTPConnection, HTTPSConnection
+from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
+
+# What users are told. The kernel's timers below end between 13 and 15 seconds after the last answer.
+SILENCE_S = 15
+# Linux has all but TCP_KEEPALIVE, which is what macOS calls TCP_KEEPIDLE.
+_TCP_OPTIONS = {
+    "TCP_KEEPIDLE": 5,
+    "TCP_KEEPALIVE": 5,
+    "TCP_KEEPINTVL": 3,
+    "TCP_KEEPCNT": 3,
+    "TCP_USER_TIMEOUT": 13_000,
+}
+_LOOK_EVERY_S = 0.25
+# Bytes that are not acknowledged for so long are worth trying another connection beside them.
+_STALLED_S = 2.0
+_TRIAL_S = 1.0
+# Where `struct tcp_info` of Linux (linux/tcp.h) has tcpi_unacked and tcpi_last_ack_recv, the latter in milliseconds.
+_TCP_INFO = struct.Struct("=24xI28xI")
+
+_lock = threading.Lock()
+_open_connections: "weakref.WeakSet[WatchedConnection]" = weakref.WeakSet()
+
+
+def socket_options() -> list[tuple[int, int, int]]:
+    """Return the options of a connection that the kernel is to end when the other side is silent."""
+    tcp = {name: getattr(socket, name) for name in _TCP_OPTIONS if hasattr(socket, name)}
+    return [
+        *HTTPConnection.default_socket_options,
+        (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+        *((socket.IPPROTO_TCP, option, _TCP_OPTIONS[name]) for name, option in tcp.items()),
+    ]
+
+
+def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket's name depends on its family
+    """Say whether this machine still has the address of a socket's own end."""
+    host, _, *rest = address
+    family = socket.AF_INET6 if rest else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind((host, 0, *rest))
+        except OSError as error:
+            return error.errno != errno.EADDRNOTAVAIL
+    return True
+
+
+class WatchedConnection(HTTPConnection):
+    """A connection that a `NetworkMonitor` can end from another thread."""
+
+    _own_address: tuple[Any, ...] | None = None
+    _unacknowledged_since: float | None = None
+
+    def connect(self) -> None:
+        super().connect()
+        if self.sock:
+            self._own_address = self.sock.getsockname()
+            with _lock:
+                _open_connections.add(self)
+
+    def close(self) -> None:
+        with _lock:  # nobody may shut down a socket whose number is somebody else's by then
+            _open_connections.discard(self)
+        super().close()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the pool may use it once more."""
+        return super().is_connected and not self.is_stranded()
+
+    def is_stranded(self) -> bool:
+        """Say whether this machine has lost the address that the connection was made from."""
+        return self._own_address is not None and not has_address(self._own_address)
+
+    def end_if_stranded(self) -> str | None:
+        """Wake whoever waits for a connection that is stranded, and return the lost address."""
+        address = self._own_address
+        return str(address[0]) if address is not None and self.is_stranded() and self.shut_down() else None
+
+    def stalled_s(self) -> float:
+        """Return for how long bytes on their way have not been acknowledged; 0 where the kernel does not say."""
+        if sys.platform != "linux" or self.sock is None:
+            return 0.0
+        try:
+            info = self.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+        except OSError:
+            return 0.0
+        unacknowledged, last_ms = _TCP_INFO.unpack(info)
+        now = time.monotonic()
+        if unacknowledged == 0:
+            self._unacknowledged_since = None
+        elif self._unacknowledged_since is None:
+            self._unacknowledged_since = now
+        since = self._unacknowledged_since
+        return 0.0 if since is None else min(now - since, last_ms / 1000)
+
+    def peer(self) -> tuple[str, int] | None:
+        """Return the address of the other side."""
+        try:
+            return self.sock.getpeername()[:2] if self.sock else None
+        except OSError:
+            return None
+
+    def shut_down(self) -> bool:
+        """Wake whoever waits for this connection: it is at its end. Only while it is known to be open."""
+        self._own_address = None  # said once; the pool sees by itself that the socket is at its end
+        try:
+            # Under TLS too: there is nobody to take leave of.
+            socket.socket.shutdown(self.sock, socket.SHUT_RDWR)
+        except (OSError, TypeError):
+            return False  # ended meanwhile
+        return True
+
+
+class _WatchedTlsConnection(WatchedConnection, HTTPSConnection):
+    pass
+
+
+class _PlainPool(HTTPConnectionPool):
+    ConnectionCls = WatchedConnection
+
+
+class _TlsPool(HTTPSConnectionPool):
+    ConnectionCls = _WatchedTlsConnection
+
+
+class WatchedPools(urllib3.PoolManager):
+    """Pools of watched connections; nothing is tried twice."""
+
+    def __init__(self, pools: int = 10, *, maxsize: int, timeout: urllib3.Timeout) -> None:
+        super().__init__(pools, maxsize=maxsize, retries=False, timeout=timeout, socket_options=socket_options())
+        self.pool_classes_by_scheme = {"http": _PlainPool, "https": _TlsPool}
+
+
+class NetworkMonitor:
+    """Ends connections of this process that will never be answered, while it runs. A context manager, with one thread.
+
+    `lost` is called from that thread: with each address that this machine has lost, or with None where the address is
+    the same and the way is another, as behind a router that has changed its network.
+    """
+
+    def __init__(self, lost: Callable[[str | None], None]) -> None:
+        self._lost = lost
+        self._answered_at: dict[tuple[str, int], float] = {}
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="network monitor", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._over.wait(_LOOK_EVERY_S):
+            with _lock:
+                ended = {address for each in _open_connections if (address := each.end_if_stranded())}
+                stalled = {
+                    peer for each in _open_connections if each.stalled_s() > _STALLED_S and (peer := each.peer())
+                }
+            for address in ended:
+                self._lost(address)
+            self._answered_at = {peer: moment for peer, moment in self._answered_at.items() if peer in stalled}
+            for peer in stalled:
+                self._try_another(peer)
+
+    def _try_another(self, peer: tuple[str, int]) -> None:
+        """Connect to where connections are stalled, and end these when it is answered and they stay silent.
+
+        TCP sends again after ever longer pauses, each as long as the silence before it. So a connection that is alive
+        is given as long again, once the way is open.
+        """
+        if peer not in self._answered_at:
+            try:
+                socket.create_connection(peer, timeout=_TRIAL_S).close()
+            except OSError:
+                return
+            self._answered_at[peer] = time.monotonic()
+        answered_s = time.monotonic() - self._answered_at[peer]
+        with _lock:
+            dead = [each for each in _open_connections if each.peer() == peer and answered_s > each.stalled_s() / 2 > 0]
+            dead = [each for each in dead if each.stalled_s() > 2 * _STALLED_S and each.shut_down()]
+        if dead:
+            self._lost(None)

@@ -1,0 +1,325 @@
+"""How a transfer adapts to its link, what it reports about it, and what a person can do about a bad one.
+
+`Window` decides how many bytes may be on their way at once, `Lane` makes the threads of a transfer keep to it, and
+`LinkWatch` counts lost connections and tells a person about them while they wait.
+"""
+
+import contextlib
+import errno
+import itertools
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+import urllib3
+
+from kleinkram.client._http import reason_of
+from kleinkram.client._network import SILENCE_S
+from kleinkram.client._retry import Backoff
+from kleinkram.client.errors import ServerUnreachable, StoreUnreachable
+from kleinkram.client.transfer._flow import Stop
+from kleinkram.client.transfer._store import PATIENCE_S
+from kleinkram.contract.uploads import MIN_PART_BYTES
+
+# A part that takes less leaves room for another beside it; one that takes more has too many beside it.
+QUICK_S, SLOW_S = 5.0, 15.0
+# After a lost connection, and on a link that is neither quick nor slow, the next step up waits for so long.
+CALM_S = 60.0
+QUICK_AFTER_LOSS_S = 1.0
+_WORTH_SAYING_S, _SAY_AGAIN_S = 5.0, 60.0
+_PROBE_S = 3.0
+RECONNECT_S = 0.05
+_MOVED_S = 1.0
+
+
+class Window:
+    """How many bytes may be on their way at once. Not safe to share between threads.
+
+    One part at first. A part that arrives quickly adds its size, up to `connections` parts, so that a fast link is
+    used in full after a few parts. A lost connection, or parts that take long, leave one part: a slow link that breaks
+    now and then keeps at least that. A link in between gets one more after a calm minute, since several connections
+    may be faster than one where each is limited by itself.
+    """
+
+    def __init__(self, connections: int, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._connections = connections
+        self._clock = clock
+        self._calm_since = clock()
+        self._has_lost = False
+        self.limit_bytes = MIN_PART_BYTES
+
+    def arrived(self, size_bytes: int, took_s: float) -> None:
+        """Take note of a part that arrived."""
+        unit_bytes = max(size_bytes, MIN_PART_BYTES)
+        took_s *= MIN_PART_BYTES / unit_bytes
+        is_calm = self._clock() - self._calm_since >= CALM_S
+        self._has_lost = self._has_lost and not is_calm
+        if took_s > SLOW_S:
+            self.limit_bytes = max(MIN_PART_BYTES, self.limit_bytes // 2)
+            self._calm_since = self._clock()
+        elif took_s <= (QUICK_AFTER_LOSS_S if self._has_lost else QUICK_S):
+            self.limit_bytes += size_bytes
+        elif is_calm:
+            self.limit_bytes += size_bytes
+            self._calm_since = self._clock()
+        self.limit_bytes = min(self.limit_bytes, self._connections * unit_bytes)
+
+    def lost(self) -> None:
+        """Take note of a connection that broke, or of a store that asks for less."""
+        self.limit_bytes = MIN_PART_BYTES
+        self._calm_since = self._clock()
+        self._has_lost = True
+
+
+class Lane:
+    """Admits parts to the link in order, as its window allows; one may always go. Shared by the threads of a transfer.
+
+    Order matters: a part that broke off goes on before others begin, so that a link that breaks often is not filled
+    with beginnings of parts.
+    """
+
+    def __init__(self, stop: Stop, window: Window) -> None:
+        self._stop = stop
+        self._window = window
+        self._used_bytes = 0
+        self._places = itertools.count()
+        self._line: list[int] = []
+        self._moving: set[int] = set()
+        self._changed = stop.condition()
+        self.arrived_at = time.monotonic()
+
+    @contextlib.contextmanager
+    def place(self) -> Iterator[int]:
+        """Stand in line for as long as the context lasts, whether a turn is held or the next one waited for."""
+        with self._changed:
+            place = next(self._places)
+            self._line.append(place)
+        try:
+            yield place
+        finally:
+            self.step_out(place)
+
+    def step_out(self, place: int) -> None:
+        """Leave the line: what is wrong concerns this part alone. The next turn is waited for at its end."""
+        with self._changed:
+            if place in self._line:
+                self._line.remove(place)
+            self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def turn(self, place: int, size_bytes: int) -> Iterator[float]:
+        """Wait for room for a part, and hold it; yields how many seconds that took.
+
+        Raises:
+            Stopped: it is over.
+        """
+        began_at = time.monotonic()
+        with self._changed:
+            if place not in self._line:
+                self._line.append(place)
+            while not self._may_go(place, size_bytes):
+                self._stop.check()
+                self._changed.wait()
+            self._stop.check()
+            self._used_bytes += size_bytes
+            self._moving.add(place)
+            self._changed.notify_all()
+        try:
+            yield time.monotonic() - began_at
+        finally:
+            with self._changed:
+                self._used_bytes -= size_bytes
+                self._moving.remove(place)
+                self._changed.notify_all()
+
+    def _may_go(self, place: int, size_bytes: int) -> bool:
+        if any(earlier not in self._moving for earlier in self._line[: self._line.index(place)]):
+            return False
+        return self._used_bytes == 0 or self._used_bytes + size_bytes <= self._window.limit_bytes
+
+    def arrived(self, size_bytes: int, took_s: float) -> None:
+        """Take note of a part that arrived."""
+        with self._changed:
+            self._window.arrived(size_bytes, took_s)
+            self.arrived_at = time.monotonic()
+
+    def lost(self) -> None:
+        """Take note of a part that did not."""
+        with self._changed:
+            self._window.lost()
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """How the link was during a transfer.
+
+    `network_changes`: how often this machine got another address, or a router before it did. `longest_outage_s` is the
+    longest time in which nothing arrived. `resent_bytes` were given to the network and had to be sent again.
+    """
+
+    connections_lost: int = 0
+    network_changes: int = 0
+    longest_outage_s: float = 0.0
+    resent_bytes: int = 0
+
+    def advice(self) -> str | None:
+        """Return what happened and what to try, for the robot's owner; None where there was no trouble."""
+        if self.connections_lost == 0:
+            return None
+        facts = [_count(self.connections_lost, "connection was lost", "connections were lost")]
+        if self.network_changes:
+            facts.append(f"this machine's network changed {_count(self.network_changes, 'time', 'times')}")
+        if self.longest_outage_s >= 1:
+            facts.append(f"the longest outage was {self.longest_outage_s:.0f} s")
+        if self.resent_bytes:
+            facts.append(f"{self.resent_bytes / 1e6:.1f} MB had to be sent again")
+        if self.network_changes:
+            remedy = "the robot moves between networks: a cable, or one access point for the upload, avoids this"
+        else:
+            remedy = "a cable, a place nearer to the access point, or --connections 1 may help"
+        return f"The network was unsteady: {', '.join(facts)}. If this is frequent: {remedy}."
+
+
+class LinkWatch:
+    """Tells a person while the link or the store keeps a transfer waiting. Shared by the threads of the transfer."""
+
+    def __init__(self, said: Callable[[str], None], *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._said = said
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._connections_lost = self._network_changes = self._resent_bytes = 0
+        self._longest_outage_s = 0.0
+        self._outage_since: float | None = None
+        self._moved_at = float("-inf")
+        self._said_at: dict[str, float] = {}
+        self._store_url: str | None = None
+
+    def report(self) -> LinkReport:
+        """Return what happened so far."""
+        with self._lock:
+            return LinkReport(
+                self._connections_lost, self._network_changes, round(self._longest_outage_s, 1), self._resent_bytes
+            )
+
+    def moved(self, address: str | None) -> None:
+        """Tell that this machine no longer has an address that connections were made from, or what looks like it."""
+        with self._lock:
+            self._network_changes += 1
+            self._moved_at = self._clock()
+        if address is not None:
+            self._say("address", f"this machine no longer has the address {address} (another network?), reconnecting")
+        else:
+            self._say("path", "old connections get no answer and new ones do (another network?), reconnecting")
+
+    def has_moved(self) -> bool:
+        """Say whether a connection broke just now because the address changed: then another is worth trying at once."""
+        return self._clock() - self._moved_at < _MOVED_S
+
+    def lost(self, url: str, backoff: Backoff, error: BaseException | None, reason: str, resent_bytes: int = 0) -> None:
+        """Take note of one more failed try, and tell about it where it will not pass by itself in seconds.
+
+        `error` is that of the connection; None where the store answered.
+        """
+        silent = is_silence(error)
+        self._store_url = url
+        with self._lock:
+            self._resent_bytes += resent_bytes
+            if error is not None:
+                self._connections_lost += 1
+            if self._outage_since is None:
+                self._outage_since = self._clock() - (SILENCE_S if silent else 0.0)
+        if silent:
+            host = urlsplit(url).netloc
+            self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting", again_after_s=_SAY_AGAIN_S)
+        elif backoff.lasting_s() >= _WORTH_SAYING_S:
+            self._say(
+                "trouble",
+                f"waiting for the store, which is away or full ({reason}): goes on by itself if that ends within "
+                f"{PATIENCE_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong",
+                again_after_s=PATIENCE_S,
+            )
+
+    def waits_for_server(self, url: str) -> None:
+        """Tell that the API does not answer."""
+        with self._lock:
+            if self._outage_since is None:
+                self._outage_since = self._clock()
+            lasting_s = self._clock() - self._outage_since
+        if lasting_s >= _WORTH_SAYING_S:
+            self._say("server", f"waiting for {url}, which does not answer", again_after_s=PATIENCE_S)
+
+    def explain(self, failure: BaseException, api_url: str) -> None:
+        """Tell why a transfer ended, where the network or a server ended it: which part of the way does not work."""
+        if isinstance(failure, ServerUnreachable | StoreUnreachable):
+            self._said(diagnose(api_url, self._store_url))
+        if (advice := self.report().advice()) is not None:
+            self._said(advice)
+
+    def arrived(self, took_s: float = 0.0) -> None:
+        """Take note that bytes arrived, by a try that took so long."""
+        if self._outage_since is None:
+            return
+        with self._lock:
+            if self._outage_since is None:
+                return
+            outage_s = max(0.0, self._clock() - took_s - self._outage_since)
+            self._longest_outage_s = max(self._longest_outage_s, outage_s)
+            self._outage_since = None
+        if outage_s >= _WORTH_SAYING_S:
+            self._said(f"connected again after {outage_s:.0f} s")
+            self._said_at.clear()
+
+    def _say(self, kind: str, text: str, *, again_after_s: float = _WORTH_SAYING_S) -> None:
+        with self._lock:
+            now = self._clock()
+            is_new = now - self._said_at.get(kind, float("-inf")) >= again_after_s
+            if is_new:
+                self._said_at[kind] = now
+        if is_new:
+            self._said(text)
+
+
+def is_silence(error: BaseException | None) -> bool:
+    """Say whether a connection ended because the other side was silent, and not because it said so."""
+    while error is not None:
+        if isinstance(error, TimeoutError | urllib3.exceptions.TimeoutError):
+            return True
+        if isinstance(error, OSError) and error.errno in {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}:
+            return True
+        inner = getattr(error, "reason", None) or error.__cause__ or error.__context__
+        error = inner if isinstance(inner, BaseException) else None
+    return False
+
+
+def diagnose(api_url: str, store_url: str | None) -> str:
+    """Return which part of the way to the server does not work, by trying it now: some seconds."""
+    places = [("the server", api_url)] + ([("the store", store_url)] if store_url else [])
+    found = [(what, urlsplit(url).netloc, _try_to_connect(url)) for what, url in places]
+    failed = [f"{what} ({place}) cannot be reached: {reason}" for what, place, reason in found if reason]
+    if not failed:
+        return "Both can be reached again now. Run the same command again; what has arrived stays."
+    if len(failed) < len(found):
+        works = ", ".join(f"{what} ({place}) answers" for what, place, reason in found if not reason)
+        return f"{failed[0]}, while {works}. Ask whoever runs the server: one part of it is away, or behind a firewall."
+    return f"{'; '.join(failed)}. Look at this machine's network first: cable, Wi-Fi, VPN, name server."
+
+
+def _try_to_connect(url: str) -> str | None:
+    parts = urlsplit(url)
+    host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
+    try:
+        socket.create_connection((host, port), timeout=_PROBE_S).close()
+    except socket.gaierror:
+        return f"the name {host!r} cannot be resolved"
+    except OSError as error:
+        if error.errno in {errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL}:
+            return "this machine has no route to it"
+        return reason_of(error)
+    return None
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"

@@ -1,0 +1,222 @@
+"""How a transfer adapts to its link, and what it tells about it."""
+
+import errno
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+import urllib3
+
+from kleinkram.client._network import has_address
+from kleinkram.client._retry import Backoff
+from kleinkram.client.transfer._flow import Stop
+from kleinkram.client.transfer.link import (
+    CALM_S,
+    QUICK_S,
+    SLOW_S,
+    Lane,
+    LinkReport,
+    LinkWatch,
+    Window,
+    diagnose,
+    is_silence,
+)
+from kleinkram.contract.uploads import MIN_PART_BYTES as PART
+from tests.ports import choose_port
+
+_CONNECTIONS = 4
+
+
+class Clock:
+    """A clock that goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def test_a_fast_link_is_used_in_full_after_a_few_parts(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    assert window.limit_bytes == PART
+    for _ in range(_CONNECTIONS):
+        window.arrived(PART, 0.05)
+    assert window.limit_bytes == _CONNECTIONS * PART
+
+
+def test_a_slow_link_carries_one_part_at_a_time(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    for _ in range(4):
+        clock.now += QUICK_S + 5
+        window.arrived(PART, QUICK_S + 5)
+    assert window.limit_bytes == PART
+
+
+def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not_help(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    clock.now += CALM_S
+    window.arrived(PART, QUICK_S + 5)
+    assert window.limit_bytes == 2 * PART
+    window.arrived(PART, SLOW_S + 5)
+    assert window.limit_bytes == PART
+
+
+def test_a_lost_connection_leaves_one_part_and_the_link_has_to_prove_itself_again(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    for _ in range(_CONNECTIONS):
+        window.arrived(PART, 0.05)
+    window.lost()
+    window.arrived(PART, QUICK_S - 1)
+    assert window.limit_bytes == PART
+    window.arrived(PART, 0.05)
+    assert window.limit_bytes == 2 * PART
+    clock.now += CALM_S
+    window.arrived(PART, QUICK_S - 1)
+    assert window.limit_bytes == 3 * PART
+
+
+def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    for _ in range(100):
+        window.arrived(10_000, 1.0)
+        assert window.limit_bytes >= _CONNECTIONS * 10_000
+
+
+def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    window.arrived(100 * PART, 10.0)
+    assert window.limit_bytes > 100 * PART
+
+
+def test_what_broke_off_goes_on_before_others_begin() -> None:
+    lane = Lane(Stop(), Window(_CONNECTIONS))
+    order: list[str] = []
+    is_waiting = threading.Event()
+
+    def second() -> None:
+        with lane.place() as place:
+            is_waiting.set()
+            with lane.turn(place, PART):
+                order.append("second")
+
+    with lane.place() as place:
+        with lane.turn(place, PART):
+            thread = threading.Thread(target=second)
+            thread.start()
+            is_waiting.wait()
+        lane.lost()
+        with lane.turn(place, PART):
+            order.append("first again")
+    thread.join(10)
+    assert order == ["first again", "second"]
+
+
+def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
+    lane = Lane(Stop(), Window(_CONNECTIONS))
+    with lane.place() as troubled:
+        lane.step_out(troubled)
+        with lane.place() as other, lane.turn(other, PART):
+            pass
+        with lane.turn(troubled, PART):
+            pass
+
+
+def _watch(clock: Clock) -> tuple[LinkWatch, list[str]]:
+    said: list[str] = []
+    return LinkWatch(said.append, clock=clock), said
+
+
+def _backoff() -> Backoff:
+    return Backoff(10.0, lambda _: None)
+
+
+def test_silence_is_told_once_for_all_connections_that_it_ends(clock: Clock) -> None:
+    watch, said = _watch(clock)
+    for _ in range(4):
+        watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
+    assert said == ["no answer for 15 s from store:9000, reconnecting"]
+    clock.now += 20
+    watch.arrived()
+    assert said[1:] == ["connected again after 35 s"]
+    assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
+
+
+def test_another_address_is_told_and_reconnected_from_at_once(clock: Clock) -> None:
+    watch, said = _watch(clock)
+    watch.moved("10.0.0.7")
+    assert watch.has_moved()
+    watch.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
+    assert said == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
+    clock.now += 2
+    assert not watch.has_moved()
+    advice = watch.report().advice()
+    assert advice is not None
+    assert "network changed 1 time" in advice
+    assert "1.5 MB had to be sent again" in advice
+
+
+def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
+    watch, said = _watch(clock)
+    watch.lost("http://store", _backoff(), ConnectionResetError(), "reset")
+    watch.arrived()
+    assert said == []
+
+
+def test_a_good_link_needs_no_advice() -> None:
+    assert LinkReport().advice() is None
+
+
+@pytest.mark.parametrize(
+    ("error", "silent"),
+    [
+        (TimeoutError(), True),
+        (OSError(errno.ETIMEDOUT, "Connection timed out"), True),
+        (OSError(errno.EHOSTUNREACH, "No route to host"), True),
+        (urllib3.exceptions.ProtocolError("broken", OSError(errno.ECONNRESET, "reset")), False),
+        (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), False),
+        (None, False),
+    ],
+)
+def test_silence_is_not_a_reset(error: BaseException | None, silent: bool) -> None:
+    assert is_silence(error) is silent
+
+
+def test_an_error_that_wraps_silence_is_silence() -> None:
+    wrapping = urllib3.exceptions.ProtocolError("Connection broken")
+    wrapping.__cause__ = OSError(errno.ETIMEDOUT, "Connection timed out")
+    assert is_silence(wrapping)
+
+
+def test_this_machine_knows_its_addresses() -> None:
+    assert has_address(("127.0.0.1", 1234))
+    assert not has_address(("192.0.2.77", 1234))
+
+
+@pytest.fixture
+def listening() -> Iterator[Callable[[], str]]:
+    sockets: list[socket.socket] = []
+
+    def listen() -> str:
+        sockets.append(socket.create_server(("127.0.0.1", 0)))
+        return f"http://127.0.0.1:{sockets[-1].getsockname()[1]}/bucket"
+
+    yield listen
+    for each in sockets:
+        each.close()
+
+
+def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) -> None:
+    works, dead = listening(), f"http://127.0.0.1:{choose_port()}"
+    one = diagnose(works, dead)
+    assert one.startswith(f"the store ({dead.removeprefix('http://')}) cannot be reached: Connection refused")
+    assert "the server (127.0.0.1" in one
+    assert "Look at this machine's network first" in diagnose(dead, dead)
+    assert "the name 'nowhere.invalid' cannot be resolved" in diagnose("http://nowhere.invalid", None)
+    assert diagnose(works, works).startswith("Both can be reached again")
