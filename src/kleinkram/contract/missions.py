@@ -133,7 +133,8 @@ class MissionFilter(BaseModel):
     """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
 
     `where` are comparisons with metadata: `robot=anymal`, `temperature>20`, `operator!=ada`, `site~zur*`.
-    `text` is found in names, notes and metadata values.
+    `text` is found in names, notes and metadata values. `projects` and `missions` are names, globs or ids of several, of
+    which any may hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -141,7 +142,9 @@ class MissionFilter(BaseModel):
     text: Term | None = None
     project: Term | None = None
     project_id: uuid.UUID | None = None
+    projects: Terms = []
     name: Term | None = None
+    missions: Terms = []
     where: Terms = []
     topic: Terms = []
     message_type: Terms = []
