@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from kleinkram.cli.render import details, line, show_json, table
+from kleinkram.cli.render import details, line, note, show_json, table
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
@@ -31,6 +31,24 @@ def show_mission(mission: MissionRead) -> None:
             *((f"problem with {problem.field}", problem.message) for problem in mission.metadata_problems),
         ]
     )
+
+
+def show_changes(before: MissionRead, after: MissionRead) -> None:
+    """Print what a change made different, a line for each field: the old value and the new one."""
+    own = [(name, getattr(before, name), getattr(after, name)) for name in ("name", "notes")]
+    fields = dict.fromkeys([*before.metadata, *after.metadata])
+    pairs = [*own, *((name, before.metadata.get(name), after.metadata.get(name)) for name in fields)]
+    changes = [(name, old, new) for name, old, new in pairs if old != new]
+    if not changes:
+        note(f"{after.project.name}/{after.name} is as it was: nothing changed.")
+        return
+    line(f"Changed {after.project.name}/{after.name}")
+    for name, old, new in changes:
+        line(f"  {name}: {_shown(old)} -> {_shown(new)}")
+
+
+def _shown(value: object) -> str:
+    return "(none)" if value in (None, "") else str(_value(value))
 
 
 def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:

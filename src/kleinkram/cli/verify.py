@@ -7,7 +7,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import Choice, Many, select_files
-from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, the_ref
+from kleinkram.cli.options import AsJson, MissionsOption, ProjectsOption, the_only, the_ref
 from kleinkram.cli.render import moment, note, show_json, table
 from kleinkram.cli.transfer_view import say_left_out
 from kleinkram.cli.units import size
@@ -18,8 +18,8 @@ from kleinkram.client.transfer import Verdict, Verified, plan_upload, verify_loc
 
 def verify(
     paths: Annotated[Many, typer.Argument(metavar="PATHS", help="Local files and folders.", show_default=False)] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     remote: Annotated[
         bool, typer.Option("--remote", help="Have the server read its bytes again; PATHS are then the mission's.")
     ] = False,
@@ -31,7 +31,8 @@ def verify(
         if remote:
             found = _remote(client, project, mission, paths or [], timeout)
         else:
-            found = _local(client, project, the_ref("mission", None, mission), paths or [])
+            one_mission = the_ref("mission", None, the_only("mission", mission))
+            found = _local(client, the_only("project", project), one_mission, paths or [])
     if as_json:
         show_json({"items": [_plain(one) for one in found]})
     else:
@@ -53,9 +54,7 @@ def _local(client: Client, project: str | None, mission: str, paths: list[str]) 
     return verify_local(client.files, client.missions.get(mission, project=project).id, plan)
 
 
-def _remote(
-    client: Client, project: str | None, mission: str | None, paths: list[str], timeout_s: float
-) -> list[Verified]:
+def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[Verified]:
     choice = Choice(project=project, mission=mission)
     if choice.is_empty() and not paths:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")

@@ -204,8 +204,8 @@ class FileFilter(BaseModel):
     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
-    may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began, UTC. `without` are terms
-    of the query language (see the page on searching) of which none may hold.
+    may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
+    UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -59,7 +59,8 @@ Conditions = list[ColumnElement[bool]]
 # What a filter of files says that can be said of a mission itself.
 _SAID_OF_MISSIONS = frozenset(
     {
-        *("text", "project", "project_id", "projects", "mission", "mission_id", "missions", "where", "recorded_after", "recorded_before"),
+        *("text", "project", "project_id", "projects", "mission", "mission_id", "missions"),
+        *("where", "recorded_after", "recorded_before"),
         "without",
     }
 )
