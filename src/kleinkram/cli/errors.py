@@ -66,6 +66,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.LastWayIn: ExitCode.conflict,
     remote.GroupFixed: ExitCode.conflict,
     remote.NotFound: ExitCode.not_found,
+    remote.WrongClient: ExitCode.usage,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,
     remote.EditedMeanwhile: ExitCode.conflict,

@@ -20,7 +20,7 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.names import is_id
 from kleinkram.contract.runs import LineageRead
-from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange
+from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
 from kleinkram.contract.trash import Deleted
 
 
@@ -79,6 +79,19 @@ class Files:
     def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Iterator[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
         return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching)), limit=limit)
+
+    def topics_found(self, matching: Wanted = None) -> Sequence[TopicFound]:
+        """Return each topic of the files that match once, by name and type, over all files."""
+        files: dict[tuple[str, str | None], int] = {}
+        messages: dict[tuple[str, str | None], int | None] = {}
+        for row in self.find_topics(matching):
+            key = (row.name, row.message_type)
+            files[key] = files.get(key, 0) + 1
+            messages[key] = row.count if messages.get(key) is None else (messages[key] or 0) + (row.count or 0)
+        return [
+            TopicFound(name=name, message_type=kind, file_count=count, message_count=messages[name, kind])
+            for (name, kind), count in sorted(files.items(), key=lambda item: (item[0][0], item[0][1] or ""))
+        ]
 
     def update(
         self, file_id: uuid.UUID, *, if_edition: str | None = None, **changes: str | uuid.UUID | Sequence[str]
