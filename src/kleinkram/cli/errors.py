@@ -115,6 +115,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     local.DiskFull: ExitCode.destination,
     local.VerifyFailed: ExitCode.bytes_differ,
     local.InvalidInput: ExitCode.usage,
+    local.ReadingMissing: ExitCode.usage,
     local.TimedOut: ExitCode.timed_out,
     Interrupted: ExitCode.interrupted,
     Refused: ExitCode.usage,

@@ -122,6 +122,9 @@ def klein(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
+    wide: Annotated[
+        bool, typer.Option("--wide", help="Show ids and uncut columns in tables; may stand anywhere in a command.")
+    ] = False,
     debug: Annotated[
         bool, typer.Option("--debug", help="Print requests and tracebacks on stderr; may stand anywhere in a command.")
     ] = False,
@@ -134,6 +137,10 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a letter must not end a command
             stream.reconfigure(errors="backslashreplace")
+    if take_flag(sys.argv, "--wide"):
+        from kleinkram.cli.render import show_wide
+
+        show_wide()
     debug = take_flag(sys.argv, "--debug")
     if debug:
         print_requests()

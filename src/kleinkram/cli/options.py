@@ -45,8 +45,9 @@ MissionsOption = Annotated[
         autocompletion=complete_mission,
     ),
 ]
-WideOption = Annotated[
-    bool, typer.Option("--wide", help="Show ids, and all columns in full, however wide the terminal is.")
+ExcludeOption = Annotated[
+    list[str] | None,
+    typer.Option("--exclude", metavar="GLOB", help="Leave out such paths, names or folders; repeatable."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")]

@@ -70,6 +70,10 @@ class Api:
         self._pool = urllib3.PoolManager(maxsize=8, retries=False, timeout=timeout)
         self._server_ahead = datetime.timedelta(0)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle which server it is; connections are made anew."""
+        return Api, (self.endpoint,)
+
     def now(self) -> datetime.datetime:
         """Return what time it is at the server (aware), as its last answer told: all that ends, ends by its clock."""
         return datetime.datetime.now(datetime.timezone.utc) + self._server_ahead

@@ -1,10 +1,9 @@
 """Actions, for programs: definitions of what to run on the data of a mission, in versions that never change."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
 from kleinkram.client.references import the_one
@@ -34,7 +33,7 @@ class Actions:
         project: str | uuid.UUID | None = None,
         archived: bool = False,
         limit: int | None = None,
-    ) -> Iterator[ActionRead]:
+    ) -> Listing[ActionRead]:
         """Yield actions by name, which may be a glob; of a project: its own, and the whole lab's.
 
         Those that are archived are listed alone.
@@ -87,7 +86,7 @@ class Actions:
         body = VersionCreate(definition=definition)
         return self._api.send("POST", f"/actions/{action_id}/versions", ActionRead, body, edition=if_edition)
 
-    def versions(self, action_id: uuid.UUID) -> Iterator[ActionVersionRead]:
+    def versions(self, action_id: uuid.UUID) -> Listing[ActionVersionRead]:
         """Yield the versions of an action, latest first."""
         return pages(self._api, f"/actions/{action_id}/versions", ActionVersionRead, [])
 

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Iterable, Iterator, Sequence
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.missions import Missions
 from kleinkram.client.references import the_one
@@ -32,7 +32,7 @@ class Files:
 
     def list(
         self, matching: Wanted = None, *, sort: FileSort | None = None, limit: int | None = None
-    ) -> Iterator[FileRead]:
+    ) -> Listing[FileRead]:
         """Yield the files that match, by project, mission and path unless `sort` says otherwise.
 
         Here and below, `matching` is a filter, or the text of a query such as `"topic:/imu -label:night"`.
@@ -68,7 +68,7 @@ class Files:
             scope = FileFilter(path=[ref], mission_id=Missions(self._api).get(mission, project=project).id)
         return the_one("file", ref, self.list(scope), name=lambda row: row.path, label=file_label)
 
-    def topics(self, file_id: uuid.UUID) -> Iterator[TopicRead]:
+    def topics(self, file_id: uuid.UUID) -> Listing[TopicRead]:
         """Yield the topics of one file, by name."""
         return pages(self._api, f"/files/{file_id}/topics", TopicRead, [])
 
@@ -76,7 +76,7 @@ class Files:
         """Return which run made a file, of what, and which runs have read it, and what they made: a step each way."""
         return self._api.get(f"/files/{file_id}/lineage", LineageRead)
 
-    def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Iterator[TopicRead]:
+    def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Listing[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
         return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching)), limit=limit)
 

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
 from kleinkram.client.references import the_one
@@ -30,7 +30,7 @@ class Missions:
         query: str | None = None,
         sort: MissionSort | None = None,
         limit: int | None = None,
-    ) -> Iterator[MissionRead]:
+    ) -> Listing[MissionRead]:
         """Yield the missions that match, by name unless `sort` says otherwise.
 
         With the text of a `query`, those that it finds: by what they say themselves, or by their files.

@@ -1,10 +1,9 @@
 """Projects, for programs."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
 from kleinkram.contract.metadata import MetadataFields
@@ -27,7 +26,7 @@ class Projects:
         text: str | None = None,
         sort: ProjectSort | None = None,
         limit: int | None = None,
-    ) -> Iterator[ProjectRead]:
+    ) -> Listing[ProjectRead]:
         """Yield projects, by name unless `sort` says otherwise; `name` may be a glob, `text` is found anywhere."""
         query = query_of(None, name=name, text=text, sort=sort.value if sort else None)
         return pages(self._api, "/projects", ProjectRead, query, limit=limit)

@@ -1,11 +1,11 @@
 """Recordings, for programs: logical captures made of one or more files, listed, and read where they are."""
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kleinkram.client._http import Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.files import Files
 from kleinkram.client.missions import Missions
 from kleinkram.client.references import the_one
@@ -25,7 +25,7 @@ class Recordings:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(self, mission_id: uuid.UUID) -> Iterator[RecordingRead]:
+    def list(self, mission_id: uuid.UUID) -> Listing[RecordingRead]:
         """Yield the recordings of a mission."""
         return pages(self._api, f"/missions/{mission_id}/recordings", RecordingRead, [])
 

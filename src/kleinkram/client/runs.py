@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
@@ -81,7 +81,7 @@ class Runs:
             outcomes += self._api.send("POST", "/runs", RunsMade, body).items
         return outcomes
 
-    def list(self, matching: RunFilter | None = None, *, limit: int | None = None) -> Iterator[RunRead]:
+    def list(self, matching: RunFilter | None = None, *, limit: int | None = None) -> Listing[RunRead]:
         """Yield the runs that match, latest first."""
         return pages(self._api, "/runs", RunRead, query_of(matching), limit=limit)
 
@@ -135,11 +135,11 @@ class Runs:
         """
         return self._api.send("POST", f"/runs/{run_id}/retry?force={str(force).lower()}", RunRead)
 
-    def inputs(self, run_id: uuid.UUID) -> Iterator[RunInput]:
+    def inputs(self, run_id: uuid.UUID) -> Listing[RunInput]:
         """Yield the files that a run was given, by path."""
         return pages(self._api, f"/runs/{run_id}/inputs", RunInput, [])
 
-    def artifacts(self, run_id: uuid.UUID) -> Iterator[ArtifactRead]:
+    def artifacts(self, run_id: uuid.UUID) -> Listing[ArtifactRead]:
         """Yield the files that a run left, by path; of one that took over results, those of the earlier one."""
         return pages(self._api, f"/runs/{run_id}/artifacts", ArtifactRead, [])
 
@@ -175,11 +175,11 @@ class Runs:
 
         return fetch(links, plan, overwrite=overwrite, watcher=watcher)
 
-    def findings(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[FindingRead]:
+    def findings(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Listing[FindingRead]:
         """Yield what runs have noticed."""
         return pages(self._api, "/findings", FindingRead, query_of(matching), limit=limit)
 
-    def metrics(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[MetricRead]:
+    def metrics(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Listing[MetricRead]:
         """Yield the numbers that runs have found; the filter's `code` is a metric's name."""
         return pages(self._api, "/run-metrics", MetricRead, query_of(matching), limit=limit)
 

@@ -116,7 +116,7 @@ def group_column(by: str) -> ColumnElement[Any] | None:
 
 
 def has_field(actor: Actor, by: str) -> Select[Any]:
-    """Return whether a visible mission has the field of a grouping `metadata.FIELD`, or a visible project declares it."""
+    """Return whether a visible mission has the field of `metadata.FIELD`, or a visible project declares it."""
     path = by.removeprefix("metadata.").split(".")
     held = visible_missions(actor).with_only_columns(true()).where(metadata_text(path).is_not(None)).limit(1)
     declares = project.c.metadata_fields.contains({"fields": [{"name": path[0]}]})
