@@ -109,8 +109,8 @@ def _find_endpoint(url: str | None, token: str | None) -> Endpoint:
     local = find_local()
     if local is None:
         raise NotConfigured(
-            reason=f"no endpoint was chosen, and no instance of `klein up` runs on {data_dir()} (for another folder, set "
-            f"{DATA_DIR_VARIABLE} to what `klein up --data-dir` was given)"
+            reason=f"no endpoint was chosen, and there is no instance of `klein up` in {data_dir()} "
+            f"(where it was started with --data-dir D, set {DATA_DIR_VARIABLE}=D)"
         )
     return local if token is None else Endpoint(local.name, local.url, token, local.source)
 

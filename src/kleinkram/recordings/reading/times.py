@@ -34,13 +34,13 @@ def to_ns(time: Time) -> int:
 
 
 def _read(text: str) -> int:
-    found = _ISO.fullmatch(text.strip())
+    wrong = ValueError(f"{text!r} is no time; write it like 2026-05-01T10:00:00Z")
+    if (found := _ISO.fullmatch(text.strip())) is None:
+        raise wrong
     try:
-        if found is None:
-            raise ValueError(text)
         day, minute, second, fraction, zone = found.groups()
         offset = "+00:00" if zone in (None, "Z") else zone if ":" in zone else f"{zone[:3]}:{zone[3:]}"
         at = datetime.datetime.fromisoformat(f"{day}T{minute or '00:00'}:{second or '00'}{offset}")
     except ValueError:
-        raise ValueError(f"{text!r} is no time; write it like 2026-05-01T10:00:00Z") from None
+        raise wrong from None
     return (at - _EPOCH) // _MICROSECOND * 1000 + int((fraction or "0").ljust(9, "0"))
