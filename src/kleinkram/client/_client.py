@@ -175,9 +175,11 @@ class Client:
                 raise NothingToDo(reason='Say which files: download("*") is all')
             return [*self.files.list("path:*" if what == "*" else what, **fields)]
         found: list[FileRead] = []
-        for each in what if isinstance(what, Iterable) else [what]:
+        for each in [what] if hasattr(what, "id") else what:
             if isinstance(each, MissionRead):
-                found += self.files.list(**{**fields, "mission": each})
+                narrowed = fields.copy()
+                narrowed["mission"] = each
+                found += self.files.list(None, **narrowed)
             else:
                 found.append(each if isinstance(each, FileRead) else self.files.get(each))
         return found

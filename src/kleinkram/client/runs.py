@@ -178,7 +178,7 @@ class Runs:
 
     def artifact_urls(self, run_id: Ref, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
         """Return where to read the bytes of up to 500 artifacts of a run, in the order asked."""
-        body = ArtifactsRequest(artifact_ids=[*artifact_ids])
+        body = checked(ArtifactsRequest, "The request", artifact_ids=[*artifact_ids])
         return self._api.repeat(f"/runs/{_run_id(run_id)}/artifacts/download", ArtifactUrls, body).items
 
     def download_artifacts(
