@@ -3,13 +3,15 @@
 import fcntl
 import os
 from pathlib import Path
+from typing import TypeVar
 
-from pydantic import JsonValue
+from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import places
+from kleinkram.client.checking import in_plain_words
 from kleinkram.contract.reports import EVENTS_FILE, MAX_EVENT_BYTES, Event, Finding, Metric, Preview, Progress, PutBack
-from kleinkram.contract.reports import Severity as _Severity
 
+T = TypeVar("T", bound=BaseModel)
 AnyPath = str | os.PathLike[str]
 
 
@@ -31,23 +33,26 @@ class Reporting:
         `file` is one of the inputs; `time_ns` a log time, in ns since 1970.
         """
         path = None if file is None else _within(file, places.given)
-        found = Finding(
-            severity=_Severity(severity), code=code, message=message, file=path, topic=topic, time_ns=time_ns
-        )
+        found = _made(Finding, severity=severity, code=code, message=message, file=path, topic=topic, time_ns=time_ns)
         _say(Event(finding=found))
 
     def metric(self, name: str, value: float, *, unit: str | None = None, file: AnyPath | None = None) -> None:
-        """Say a number, such as `metric("ate_rmse", 0.12, unit="m")`. Said again, it takes the earlier one's place."""
+        """Say a number, such as `metric("ate_rmse", 0.12, unit="m")`. Said again, it takes the earlier one's place.
+
+        Raises:
+            ReportRefused: the name is not of small letters, digits and `_ . -`, beginning with a letter, at most 64; or
+                the number is NaN or infinite: say so by `finding`.
+        """
         path = None if file is None else _within(file, places.given)
-        _say(Event(metric=Metric(name=name, value=float(value), unit=unit, file=path)))
+        _say(Event(metric=_made(Metric, name=name, value=value, unit=unit, file=path)))
 
     def preview(self, path: AnyPath, title: str = "") -> None:
         """Show an artifact with the run: PNG, JPEG, SVG, CSV or GeoJSON under `/out`."""
-        _say(Event(preview=Preview(path=_within(path, places.out), title=title)))
+        _say(Event(preview=_made(Preview, path=_within(path, places.out), title=title)))
 
     def propose(self, **metadata: JsonValue) -> None:
         """Propose metadata of the mission. People take it over, or do not."""
-        _say(Event(metadata=metadata))
+        _say(_made(Event, metadata=metadata))
 
     def put_back(self, path: AnyPath, to: str | None = None, *, made_from: list[AnyPath] | None = None) -> None:
         """Make a file of the mission out of an artifact, at `to` (its path under `/out`, if not said).
@@ -56,12 +61,27 @@ class Reporting:
         """
         artifact = _within(path, places.out)
         sources = [_within(each, places.given) for each in made_from or []]
-        _say(Event(put_back=PutBack(path=artifact, to=to or artifact, made_from=sources)))
+        _say(Event(put_back=_made(PutBack, path=artifact, to=to or artifact, made_from=sources)))
 
 
 def progress(fraction: float, message: str = "") -> None:
     """Say how far the run is, from 0 to 1, and what it is at."""
-    _say(Event(progress=Progress(fraction=fraction, message=message)))
+    _say(Event(progress=_made(Progress, fraction=fraction, message=message)))
+
+
+class ReportRefused(ValueError):
+    """What a run wanted to report cannot be kept; says which part of it, and why."""
+
+
+def _made(kind: type[T], **fields: object) -> T:
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        name = str(error.errors(include_url=False)[0]["loc"][0])
+        reason = in_plain_words(error)
+        if name in {"name", "code"}:
+            reason = "use at most 64 small letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
+        raise ReportRefused(f"the {name} {fields.get(name)!r} of a {kind.__name__.lower()}: {reason}") from None
 
 
 def _within(path: AnyPath, folder: Path) -> str:

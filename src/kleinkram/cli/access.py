@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, Until
 from kleinkram.cli.render import escape, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
@@ -14,13 +15,7 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.grants import AccessRead, GrantRead
 from kleinkram.contract.rights import Right
 
-app = typer.Typer(
-    help="Who may do what with a project or a mission.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Who may do what with a project or a mission.")
 
 Whom = Annotated[
     str, typer.Option("--to", metavar="WHO", help="An address, or a person or group by name or id.", show_default=False)

@@ -5,19 +5,14 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Yes, confirm
 from kleinkram.cli.render import details, note, plain, show_json, table
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.accounts import IdentityRead
 from kleinkram.contract.errors import NotFound
 
-app = typer.Typer(
-    help="Your own account: what you are known by, and how you sign in.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Your own account: what you are known by, and how you sign in.")
 
 
 @app.command("info")

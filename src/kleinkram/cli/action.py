@@ -8,10 +8,11 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.action_view import show_action, show_actions, show_versions
 from kleinkram.cli.building import build
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.launch import SetOption, parameter_values, run, split_version
 from kleinkram.cli.log_view import on_stderr
-from kleinkram.cli.options import AsJson, IfEdition, Limit, MissionOption, ProjectOption
+from kleinkram.cli.options import AsJson, IfEdition, Limit, MissionOption, ProjectOption, ProjectsOption
 from kleinkram.cli.render import line, note, show_json, show_json_list
 from kleinkram.cli.run_view import show_findings, show_metrics
 from kleinkram.cli.scaffold import init
@@ -32,13 +33,7 @@ _ISOLATIONS = {
     Isolation.none: "as a plain process: this kernel gives no namespaces to you, so it can change whatever you can.",
 }
 
-app = typer.Typer(
-    help="Actions: what to run on the files of a mission.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Actions: what to run on the files of a mission.")
 app.command("init")(init)
 app.command("run")(run)
 
@@ -174,14 +169,16 @@ def _add_version(client: Client, definition: ActionDefinition, project: str | No
 @app.command("list")
 def list_(
     name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
-    project: ProjectOption = None,
+    project: ProjectsOption = None,
     archived: Annotated[bool, typer.Option("--archived", help="Those that are archived.")] = False,
     limit: Limit = None,
     as_json: AsJson = False,
 ) -> None:
     """List actions: of all projects that you see, and the whole lab's."""
     with connect() as client:
-        rows = [*client.actions.list(name=name, project=project, archived=archived, limit=limit)]
+        refs: list[str | None] = [*project] if project else [None]
+        lists = [client.actions.list(name=name, project=ref, archived=archived, limit=limit) for ref in refs]
+        rows = [*{row.id: row for rows in lists for row in rows}.values()][:limit]
     show_json_list(rows) if as_json else show_actions(rows)
 
 

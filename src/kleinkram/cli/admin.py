@@ -5,19 +5,14 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import details, moment, note, show_json, table
 from kleinkram.cli.scrub_view import follow, is_damaged, is_stopped, show_scrub
 from kleinkram.cli.units import size
 
-app = typer.Typer(
-    help="The whole server, for its admins.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("The whole server, for its admins.")
 
 
 @app.command("storage")

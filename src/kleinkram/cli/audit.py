@@ -7,10 +7,10 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption
+from kleinkram.cli.filters import ids_of
+from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption
 from kleinkram.cli.render import line, plain, show_json_list, table
 from kleinkram.cli.units import parse_time
-from kleinkram.client import Client
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.audit import AuditFilter, AuditRead
@@ -22,8 +22,8 @@ _SHOWN = 100
 def audit(
     person: Annotated[str | None, typer.Option("--person", metavar="PERSON", help="Done by them: name or id.")] = None,
     token: Annotated[str | None, typer.Option("--token", metavar="TOKEN", help="With a token: name or id.")] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     noun: Annotated[str | None, typer.Option("--noun", help="Only of these: project, mission, file, …")] = None,
     noun_id: Annotated[str | None, typer.Option("--id", metavar="ID", help="Only of the thing with this id.")] = None,
     operation: Annotated[str | None, typer.Option("--operation", metavar="GLOB", help="Such as 'file.*'.")] = None,
@@ -50,7 +50,7 @@ def audit(
         "as_admin": as_admin or None,
     }
     with connect() as client:
-        given |= _place(client, project, mission)
+        given |= ids_of(client, project, mission)
         matching = checked(AuditFilter, "The filter", **{key: value for key, value in given.items() if value})
         if jsonl:
             for event in client.audit.export(matching):
@@ -65,12 +65,6 @@ def audit(
 
 def _id_or_name(noun: str, given: str | None) -> str:
     return f"{noun}_id" if given is not None and is_id(given) else noun
-
-
-def _place(client: Client, project: str | None, mission: str | None) -> dict[str, object]:
-    if mission is not None:
-        return {"mission_id": client.missions.get(mission, project=project).id}
-    return {} if project is None else {"project_id": client.projects.get(project).id}
 
 
 def _show(rows: Iterable[AuditRead]) -> None:

@@ -12,12 +12,13 @@ from typing import Annotated
 
 import typer
 
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Connections, LimitRate
 from kleinkram.cli.units import parse_rate
 from kleinkram.cli.up import DataDirOption, resolve_data_dir
 from kleinkram.client.errors import InvalidInput
 
-app = typer.Typer(help="Backups of a whole site: create, list, verify, forget.", no_args_is_help=True)
+app = Noun("Backups of a whole site: create, list, verify, forget.")
 
 _AT_ONCE = 8
 

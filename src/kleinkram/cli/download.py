@@ -9,7 +9,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.errors import Interrupted, exit_code_of
 from kleinkram.cli.filters import Choice, Many, select_files, with_choice
-from kleinkram.cli.options import AsJson, Connections, DryRun, LimitRate
+from kleinkram.cli.options import AsJson, Connections, DryRun, ExcludeOption, LimitRate
 from kleinkram.cli.render import note, show_json, table
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
 from kleinkram.cli.units import count, parse_rate, size
@@ -17,6 +17,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.transfer import DownloadPlan, plan_download
 from kleinkram.client.transfer.download import CONNECTIONS
 from kleinkram.client.transfer.download import download as download_files
+from kleinkram.client.transfer.plan import is_excluded
 from kleinkram.contract.shares import is_link
 
 
@@ -32,6 +33,7 @@ def download(
     dest: Annotated[Path, typer.Option("--dest", metavar="D", help="Folder to write into.")] = Path(),
     nested: Annotated[bool, typer.Option("--nested", help="Write to PROJECT/MISSION/PATH below it.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that differ.")] = False,
+    exclude: ExcludeOption = None,
     limit_rate: LimitRate = None,
     connections: Connections = CONNECTIONS,
     dry_run: DryRun = False,
@@ -46,7 +48,8 @@ def download(
     if choice.is_empty() and not filters:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
     with connect(*links) as client:
-        plan = plan_download(select_files(client, choice, refs), dest, nested=nested)
+        found = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
+        plan = plan_download(found, dest, nested=nested)
         say_left_out(plan.left_out)
         if not plan.targets and not plan.left_out:
             raise NothingToDo(reason="No file matches")

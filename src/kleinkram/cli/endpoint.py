@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from kleinkram.cli.commands import Noun
+from kleinkram.cli.completion import complete_endpoint
 from kleinkram.cli.options import AsJson, read_text, read_token
 from kleinkram.cli.render import details, moment, note, show_json, table
 from kleinkram.client.config import EndpointSource, find_endpoint
@@ -19,12 +21,7 @@ from kleinkram.client.saved_endpoints import (
     use_endpoint,
 )
 
-app = typer.Typer(
-    help="Which server commands talk to, and why.",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Which server commands talk to, and why.", no_args_is_help=False)
 
 _WHY = {
     EndpointSource.argument: "it was given",
@@ -33,7 +30,7 @@ _WHY = {
     EndpointSource.local: "it runs on this machine, and no other was chosen",
 }
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", show_default=False)]
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", show_default=False, autocompletion=complete_endpoint)]
 
 
 @app.callback(invoke_without_command=True)

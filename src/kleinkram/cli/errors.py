@@ -1,9 +1,15 @@
 """From failure to exit code: the one table. Scripts rely on these numbers; add, never change."""
 
 import enum
-from collections.abc import Iterable
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from kleinkram.cli.render import escape, note
+import typer
+
+from kleinkram.cli.commands import ClickException, wants_json
+from kleinkram.cli.render import escape, note, plain
 from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
 from kleinkram.contract import errors as remote
@@ -60,6 +66,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.LastWayIn: ExitCode.conflict,
     remote.GroupFixed: ExitCode.conflict,
     remote.NotFound: ExitCode.not_found,
+    remote.WrongClient: ExitCode.usage,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,
     remote.EditedMeanwhile: ExitCode.conflict,
@@ -109,6 +116,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     local.DiskFull: ExitCode.destination,
     local.VerifyFailed: ExitCode.bytes_differ,
     local.InvalidInput: ExitCode.usage,
+    local.ReadingMissing: ExitCode.usage,
     local.TimedOut: ExitCode.timed_out,
     Interrupted: ExitCode.interrupted,
     Refused: ExitCode.usage,
@@ -116,17 +124,50 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
 
 
 def explain(error: Exception) -> int | None:
-    """Say a failure on stderr and return its exit code; None for one that has no name, which is a bug of ours."""
+    """Print a failure on stderr and return its exit code; None for one that has no name, which is a bug of ours.
+
+    With `--json` on the command line it is one JSON document in one line.
+    """
+    if isinstance(error, typer.Abort):
+        return fail("interrupted", "Aborted.", ExitCode.server_failed)
+    if isinstance(error, ClickException):
+        return _explain_usage(error)
     if isinstance(error, RecordingError | FileNotFoundError):
-        note(f"Error: {error}")
-        return ExitCode.local_file
+        return fail(_code_of(error), str(error), ExitCode.local_file)
     if not isinstance(error, KleinkramError):
         return None
+    if wants_json():
+        fields = {"request_id": request_id_of(error), **error.fields()}
+        return fail(_code_of(error), str(error), EXIT_CODES[type(error)], fields)
     for line in sentences(error):
         note(f"Error: {line}")
     if (request_id := request_id_of(error)) is not None and not isinstance(error, remote.InternalError):
         note(f"Request id: {escape(request_id)}")
     return EXIT_CODES[type(error)]
+
+
+def _explain_usage(error: Any) -> int:  # Any: the exception of whichever click Typer uses
+    if wants_json():
+        return fail("usage", error.format_message(), error.exit_code)
+    error.show()
+    return int(error.exit_code)
+
+
+def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:
+    """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
+    if not wants_json():
+        note(f"Error: {message}")
+        return exit_code
+    known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
+    told = {**known, "code": code, "message": message, "exit_code": int(exit_code)}
+    typer.echo(json.dumps({"error": told}, default=str), err=True)
+    return exit_code
+
+
+def _code_of(error: Exception) -> str:
+    """Return the code of the contract; for failures of this machine, the name of the class written likewise."""
+    code = getattr(type(error), "code", None)
+    return str(code.value) if code else re.sub("(?<!^)(?=[A-Z])", "_", type(error).__name__).lower()
 
 
 def sentences(error: KleinkramError) -> list[str]:

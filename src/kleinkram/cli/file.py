@@ -5,10 +5,21 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_choice
 from kleinkram.cli.mission_view import show_topics
-from kleinkram.cli.options import AsJson, DryRun, Limit, MissionOption, ProjectOption, Yes, confirm
+from kleinkram.cli.options import (
+    AsJson,
+    DryRun,
+    Limit,
+    MissionOption,
+    MissionsOption,
+    ProjectOption,
+    ProjectsOption,
+    Yes,
+    confirm,
+)
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
@@ -19,13 +30,7 @@ from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
 from kleinkram.contract.searching import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
-app = typer.Typer(
-    help="Files: what a mission holds.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Files: what a mission holds.")
 app.command("create", help="Upload files: the same as `klein upload`.")(upload)
 
 FileArgument = Annotated[str, typer.Argument(metavar="FILE", help="Path or id.", show_default=False)]
@@ -133,8 +138,8 @@ def _say_labelled(found: list[FileRead], done: list[FileLabelled]) -> None:
 @app.command("delete")
 def delete(
     files: Annotated[list[str], typer.Argument(metavar="FILE", help="Paths, globs or ids.", show_default=False)],
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     dry_run: DryRun = False,
     yes: Yes = False,
     as_json: AsJson = False,

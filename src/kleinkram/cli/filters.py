@@ -8,14 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from kleinkram.cli.options import MissionOption, ProjectOption
+from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
 from kleinkram.client.checking import checked
-from kleinkram.client.references import is_glob
+from kleinkram.client.missions import mission_label
+from kleinkram.client.references import is_glob, the_one
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
+from kleinkram.contract.missions import MissionFilter, MissionRead
 from kleinkram.contract.names import is_id, name_key
+from kleinkram.contract.projects import ProjectRead
 from kleinkram.contract.query import render, whole
 from kleinkram.contract.searching import FileQuery
 
@@ -29,8 +32,8 @@ class Choice:
     query: Annotated[
         str | None, typer.Option("--query", metavar="QUERY", help="All in one text: 'alps topic:/imu -label:night'.")
     ] = None
-    project: ProjectOption = None
-    mission: MissionOption = None
+    project: ProjectsOption = None
+    mission: MissionsOption = None
     text: Annotated[str | None, typer.Option("--text", metavar="TEXT", help="Found in names, notes and metadata.")] = (
         None
     )
@@ -97,8 +100,11 @@ def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> 
         NotFound, AmbiguousName: of a project that was named by an option.
         InvalidQuery, InvalidInput: as in `file_filter`.
     """
-    named = {} if choice.mission is None else {"mission_id" if is_id(choice.mission) else "mission": choice.mission}
-    return render(_filter(choice, {**_project(client, choice), **named}, paths))
+    missions = choice.mission or []
+    named: dict[str, object] = {"missions": missions}
+    if len(missions) == 1:
+        named = {"mission_id" if is_id(missions[0]) else "mission": missions[0]}
+    return render(_filter(choice, {**projects_of(client, choice.project), **named}, paths))
 
 
 def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
@@ -141,18 +147,75 @@ def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[Fi
     return [*{file.id: file for file in found}.values()]
 
 
-def _project(client: Client, choice: Choice) -> dict[str, object]:
-    if choice.project is None:
+def projects_of(client: Client, refs: Sequence[str] | None) -> dict[str, object]:
+    """Return the part of a filter that says which projects; one that is named must exist.
+
+    Raises:
+        NotFound, AmbiguousName: of a project that was named.
+    """
+    within = [client.missions.within(ref).model_dump(exclude_defaults=True) for ref in refs or [] if not is_glob(ref)]
+    globs = [ref for ref in refs or [] if is_glob(ref)]
+    if len(within) == 1 and not globs:
+        return within[0]
+    if len(globs) == 1 and not within:
+        return {"project": globs[0]}
+    return {"projects": [*(str(value) for each in within for value in each.values()), *globs]}
+
+
+def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[str] | None) -> dict[str, object]:
+    """Return the ids of the missions that are meant, or else of the projects, for filters that know only ids.
+
+    Raises:
+        NotFound: a name or glob means none.
+        AmbiguousName: a mission's name means several; globs may.
+    """
+    if missions:
+        found = [mission.id for ref in missions for mission in find_missions(client, ref, projects)]
+        return {"mission_id": found[0]} if len(found) == 1 else {"mission_ids": [*dict.fromkeys(found)]}
+    if not projects:
         return {}
-    if is_glob(choice.project):
-        return {"project": choice.project}
-    return client.missions.within(choice.project).model_dump(exclude_defaults=True)
+    named = [project.id for ref in projects for project in _projects(client, ref)]
+    return {"project_id": named[0]} if len(named) == 1 else {"project_ids": [*dict.fromkeys(named)]}
+
+
+def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> list[MissionRead]:
+    """Return the mission of this id or name, or all whose names match a glob, in any of the projects.
+
+    Raises:
+        NotFound: there is none.
+        AmbiguousName: a name means several.
+    """
+    is_in_one = not projects or (len(projects) == 1 and not is_glob(projects[0]))
+    if (is_id(ref) or is_in_one) and not is_glob(ref):
+        return [client.missions.get(ref, project=projects[0] if projects else None)]
+    within = checked(MissionFilter, "The filter", name=ref, **projects_of(client, projects))
+    found = [*client.missions.list(within)]
+    if is_glob(ref) and found:
+        return found
+    return [the_one("mission", ref, found, name=lambda row: row.name, label=mission_label)]
+
+
+def _projects(client: Client, ref: str) -> list[ProjectRead]:
+    if not is_glob(ref):
+        return [client.projects.get(ref)]
+    if not (found := [*client.projects.list(name=ref)]):
+        raise NotFound(noun="project", ref=ref)
+    return found
 
 
 def _place(client: Client, choice: Choice) -> dict[str, object]:
-    if choice.mission is None or is_glob(choice.mission):
-        mission = {} if choice.mission is None else {"mission": choice.mission}
-        return {**_project(client, choice), **mission}
-    if choice.project is not None and is_glob(choice.project):
-        return {"project": choice.project, "mission": choice.mission}
-    return {"mission_id": client.missions.get(choice.mission, project=choice.project).id}
+    projects, missions = choice.project, choice.mission
+    is_wide = projects is not None and (len(projects) > 1 or any(map(is_glob, projects)))
+    if not missions:
+        return projects_of(client, projects)
+    if len(missions) == 1 and (is_glob(missions[0]) or (is_wide and not is_id(missions[0]))):
+        return {**projects_of(client, projects), "mission": missions[0]}
+    if len(missions) == 1:
+        return {"mission_id": client.missions.get(missions[0], project=the_only("project", projects)).id}
+    if is_wide:
+        return {**projects_of(client, projects), "missions": missions}
+    globs = [ref for ref in missions if is_glob(ref)]
+    names = [ref for ref in missions if not is_glob(ref)]
+    named = [str(mission.id) for ref in names for mission in find_missions(client, ref, projects)]
+    within = projects_of(client, projects) if globs else {}
+    return {**within, "missions": [*named, *globs]}

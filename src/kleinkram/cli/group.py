@@ -5,18 +5,13 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, IfEdition, Limit, Until, Yes, confirm
 from kleinkram.cli.render import details, escape, line, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
 from kleinkram.contract.groups import GroupRead
 
-app = typer.Typer(
-    help="Groups of people: what is granted to one, all of it have.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Groups of people: what is granted to one, all of it have.")
 
 Group = Annotated[str, typer.Argument(metavar="GROUP", help="Name or id.", show_default=False)]
 People = Annotated[

@@ -9,9 +9,9 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.errors import ExitCode, exit_code_of
-from kleinkram.cli.filters import Choice, Many, mission_query
+from kleinkram.cli.filters import Choice, Many, find_missions, mission_query
 from kleinkram.cli.following import follow, heading, last_word
-from kleinkram.cli.options import AsJson, DryRun, ProjectOption, Yes, confirm
+from kleinkram.cli.options import AsJson, DryRun, MissionsOption, ProjectsOption, Yes, confirm
 from kleinkram.cli.render import note, show_json
 from kleinkram.cli.run_view import mission_name, show_results, show_runs
 from kleinkram.cli.units import count
@@ -46,10 +46,8 @@ def run(
         str,
         typer.Argument(metavar="ACTION", help="Name, NAME@VERSION or id; or a script, or a folder with action.yaml."),
     ],
-    missions: Annotated[
-        Many, typer.Option("--mission", "-m", metavar="MISSION", help="May be given several times.")
-    ] = None,
-    project: ProjectOption = None,
+    missions: MissionsOption = None,
+    project: ProjectsOption = None,
     query: Annotated[
         str | None, typer.Option("--query", "-q", metavar="QUERY", help="On each mission that a search finds.")
     ] = None,
@@ -149,7 +147,8 @@ def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[Miss
             what="The command", reason="say which missions: with -m, or by a search with --query or --where"
         )
     if names:
-        return [client.missions.get(each, project=choice.project) for each in names]
+        found = [mission for each in names for mission in find_missions(client, each, choice.project)]
+        return [*{mission.id: mission for mission in found}.values()]
     found = [*client.missions.list(query=mission_query(client, choice))]
     if not found:
         raise NothingToDo(reason="No mission matches")

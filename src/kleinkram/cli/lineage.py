@@ -35,7 +35,7 @@ def _show(found: LineageRead) -> None:
         line("")
         line("Read by")
         table(
-            ["mission", "action", "state", "ended", "files made", "artifacts", "id"],
+            ["mission", "action", "state", "ended", "files made", "artifacts", "run"],
             [
                 (
                     mission_name(each.run),

@@ -6,11 +6,13 @@
 import importlib
 import io
 import sys
+import traceback
 from typing import Annotated, Any
 
 import typer
-import typer.core
 import typer.main
+
+from kleinkram.cli.commands import Group, Noun, closest, print_requests, take_flag
 
 # name -> (module, attribute, the line in `klein --help`)
 COMMANDS: dict[str, tuple[str, str, str]] = {
@@ -53,9 +55,11 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
 
 # The original's words for some of them.
 ALIASES = {"template": "action", "execution": "run"}
+# Verbs that people type first, as in `klein list projects`.
+_VERBS = frozenset({"create", "list", "info", "update", "delete", "complete", "retry", "cancel", "logs"})
 
 
-class LazyCommands(typer.core.TyperGroup):
+class LazyCommands(Group):
     """The group of all commands, each imported when it is called."""
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]  # the same class, re-exported
@@ -70,6 +74,14 @@ class LazyCommands(typer.core.TyperGroup):
         module, attribute, _ = COMMANDS[name]
         return load(name, getattr(importlib.import_module(module), attribute))
 
+    def unknown(self, ctx: typer.Context, args: list[str]) -> str:
+        """Return the sentence for a first word that is no command; a verb belongs behind its noun."""
+        verb, *rest = args
+        if verb not in _VERBS:
+            return super().unknown(ctx, args)
+        noun = closest(rest[0].removesuffix("s"), COMMANDS) if rest else None
+        return f"No such command: {verb!r}. The noun comes first: `klein {noun or 'mission'} {verb}`."
+
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # as above
         """Write the list of commands without importing them."""
         with formatter.section("Commands"):
@@ -82,7 +94,7 @@ def load(name: str, target: Any) -> Any:
         group = typer.main.get_command(target)
         group.name = name
         return group
-    single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    single = Noun("")
     single.command(name)(target)
     return typer.main.get_command(single)
 
@@ -110,6 +122,12 @@ def klein(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
+    wide: Annotated[
+        bool, typer.Option("--wide", help="Show ids and uncut columns in tables; may stand anywhere in a command.")
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Print requests and tracebacks on stderr; may stand anywhere in a command.")
+    ] = False,
 ) -> None:
     """Keep every recording: upload a mission, know what is in it, find it, get it back intact."""
 
@@ -119,11 +137,20 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a letter must not end a command
             stream.reconfigure(errors="backslashreplace")
+    if take_flag(sys.argv, "--wide"):
+        from kleinkram.cli.render import show_wide
+
+        show_wide()
+    debug = take_flag(sys.argv, "--debug")
+    if debug:
+        print_requests()
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
     except Exception as error:
         from kleinkram.cli.errors import explain
 
+        if debug:
+            traceback.print_exc()
         exit_code = explain(error)
         if exit_code is None:
             raise

@@ -6,15 +6,19 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.filters import Many
-from kleinkram.cli.mission_view import show_contents, show_mission, show_missions
+from kleinkram.cli.commands import Noun
+from kleinkram.cli.completion import complete_mission
+from kleinkram.cli.filters import Many, projects_of
+from kleinkram.cli.mission_view import show_changes, show_contents, show_mission, show_missions
 from kleinkram.cli.options import (
     AsJson,
     DryRun,
     IfEdition,
     Limit,
     MissionOption,
+    MissionsOption,
     ProjectOption,
+    ProjectsOption,
     Yes,
     confirm,
     read_text,
@@ -24,18 +28,14 @@ from kleinkram.cli.render import escape, line, note, show_json, show_json_list
 from kleinkram.cli.units import count, size
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.references import is_glob
 from kleinkram.contract.missions import MissionFilter, MissionSort
+from kleinkram.contract.names import is_id
 
-app = typer.Typer(
-    help="Missions: one outing of a robot, with the metadata that its project requires.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Missions: one outing of a robot, with the metadata that its project requires.")
 
-NameArgument = Annotated[str | None, typer.Argument(metavar="MISSION", show_default=False)]
+NameArgument = Annotated[
+    str | None, typer.Argument(metavar="MISSION", show_default=False, autocompletion=complete_mission)
+]
 MetadataOption = Annotated[
     Path | None,
     typer.Option("--metadata", metavar="mission.yaml", help="Its metadata; `klein mission template` writes a form."),
@@ -64,8 +64,9 @@ def create(
 
 @app.command("list")
 def list_(
-    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
-    project: ProjectOption = None,
+    names: Annotated[Many, typer.Argument(metavar="GLOB", show_default=False)] = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     text: Annotated[str | None, typer.Option("--text", help="Found in names, notes and metadata.")] = None,
     where: Annotated[Many, typer.Option("--where", "-w", metavar="FIELD=VALUE", help="robot=anymal, t>20.")] = None,
     topic: Annotated[Many, typer.Option("--topic", "-t", metavar="GLOB", help="Has such a topic.")] = None,
@@ -78,13 +79,12 @@ def list_(
     as_json: AsJson = False,
 ) -> None:
     """List missions."""
-    given: dict[str, object] = {"name": name, "text": text, "where": where, "topic": topic}
+    refs = [*(names or []), *(mission or [])]
+    named = {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
+    given: dict[str, object] = {**named, "text": text, "where": where, "topic": topic}
     given["satisfied"] = False if unsatisfied else None
     with connect() as client:
-        if project is not None and not is_glob(project):
-            given |= client.missions.within(project).model_dump(exclude_defaults=True)
-        elif project is not None:
-            given["project"] = project
+        given |= projects_of(client, project)
         matching = checked(MissionFilter, "The filter", **{key: value for key, value in given.items() if value})
         matching = matching.model_copy(update={"satisfied": False}) if unsatisfied else matching
         if count:
@@ -115,19 +115,34 @@ def update(
     mission: MissionOption = None,
     new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
     metadata: MetadataOption = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace all metadata by --metadata: fields that it lacks are removed.")
+    ] = False,
     notes: NotesOption = None,
     edition: IfEdition = None,
     as_json: AsJson = False,
 ) -> None:
-    """Change a mission's name, notes, or metadata (as a whole)."""
-    changes = {"name": new_name, "metadata_yaml": read_text(metadata), "notes": notes}
-    given = {key: value for key, value in changes.items() if value is not None}
-    if not given:
+    """Change a mission's name, notes, or metadata.
+
+    --metadata changes the fields that its file names, and leaves the others as they are; a field without a value (null)
+    is removed.
+    """
+    text = read_text(metadata)
+    if replace and text is None:
+        raise InvalidInput(what="--replace", reason="it goes with --metadata")
+    if new_name is None and text is None and notes is None:
         raise InvalidInput(what="The command", reason="say what to change: --name, --metadata or --notes")
+    given: dict[str, str | bool] = {"name": new_name} if new_name is not None else {}
+    given |= {"notes": notes} if notes is not None else {}
+    if text is not None:
+        given |= {"metadata_yaml": text, "merge_yaml": not replace}
     with connect() as client:
         found = client.missions.get(the_ref("mission", name, mission), project=project)
         changed = client.missions.update(found.id, if_edition=edition or found.edition, **given)
-    show_json(changed) if as_json else show_mission(changed)
+    if as_json:
+        show_json(changed)
+        return
+    show_changes(found, changed)
 
 
 @app.command("complete")

@@ -1,12 +1,13 @@
 """How a mission, its recordings and topics look."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
-from kleinkram.cli.render import details, line, show_json, table
+from kleinkram.cli.render import details, line, note, show_json, table
 from kleinkram.cli.units import count, duration, instant, rate, size, span
 from kleinkram.client import Client
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.topics import MissionTopic
 
 _DAMAGED = {BlobState.lost, BlobState.corrupt}
 
@@ -33,14 +34,32 @@ def show_mission(mission: MissionRead) -> None:
     )
 
 
+def show_changes(before: MissionRead, after: MissionRead) -> None:
+    """Print what a change made different, a line for each field: the old value and the new one."""
+    own = [(name, getattr(before, name), getattr(after, name)) for name in ("name", "notes")]
+    fields = dict.fromkeys([*before.metadata, *after.metadata])
+    pairs = [*own, *((name, before.metadata.get(name), after.metadata.get(name)) for name in fields)]
+    changes = [(name, old, new) for name, old, new in pairs if old != new]
+    if not changes:
+        note(f"{after.project.name}/{after.name} is as it was: nothing changed.")
+        return
+    line(f"Changed {after.project.name}/{after.name}")
+    for name, old, new in changes:
+        line(f"  {name}: {_shown(old)} -> {_shown(new)}")
+
+
+def _shown(value: object) -> str:
+    return "(none)" if value in (None, "") else str(_value(value))
+
+
 def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
     """Print a mission with its recordings, files and topics."""
     matching = FileFilter(mission_id=mission.id)
     recordings = [*client.recordings.list(mission.id)]
     files = [*client.files.list(matching)]
-    topics = [*client.files.find_topics(matching)]
     if as_json:
-        show_json({"mission": mission, "recordings": recordings, "files": files, "topics": topics})
+        by_file = [*client.files.find_topics(matching)]
+        show_json({"mission": mission, "recordings": recordings, "files": files, "topics": by_file})
         return
     show_mission(mission)
     if recordings:
@@ -52,10 +71,11 @@ def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
         line("Files")
         show_files(files)
         _show_damage(files)
+    topics = client.missions.topics(mission.id, bins=0).items
     if topics:
         line("")
         line("Topics")
-        show_topics(topics, {str(file.id): file.path for file in files})
+        show_mission_topics(topics)
 
 
 def _show_damage(files: Iterable[FileRead]) -> None:
@@ -137,17 +157,34 @@ def show_files(files: Iterable[FileRead]) -> None:
     )
 
 
-def show_topics(topics: Iterable[TopicRead], paths: Mapping[str, str] | None = None) -> None:
-    """Print topics as a table; with the file each is in, where there are several."""
-    rows = [*topics]
-    several = paths is not None and len({row.file_id for row in rows}) > 1
-    headers = ["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"]
-    cells: list[list[object]] = []
-    for row in rows:
-        cell: list[object] = [row.name, row.message_type, row.count, rate(row.rate_hz)]
-        cell += [duration(row.longest_gap_ns), duration(row.head_gap_ns), duration(row.tail_gap_ns)]
-        cells.append([*cell, (paths or {}).get(str(row.file_id), str(row.file_id))] if several else cell)
-    table([*headers, "file"] if several else headers, cells)
+def show_mission_topics(topics: Iterable[MissionTopic]) -> None:
+    """Print the topics of a mission as a table, a line each, over all its files."""
+    table(
+        ["topic", "type", "count", "rate", "longest gap", "files"],
+        [
+            (row.name, row.message_type, row.count, rate(row.rate_hz), duration(row.longest_gap_ns), row.file_count)
+            for row in topics
+        ],
+    )
+
+
+def show_topics(topics: Iterable[TopicRead]) -> None:
+    """Print the topics of one file as a table."""
+    table(
+        ["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"],
+        [
+            (
+                row.name,
+                row.message_type,
+                row.count,
+                rate(row.rate_hz),
+                duration(row.longest_gap_ns),
+                duration(row.head_gap_ns),
+                duration(row.tail_gap_ns),
+            )
+            for row in topics
+        ],
+    )
 
 
 def _value(value: object) -> object:

@@ -8,7 +8,16 @@ from pydantic import BaseModel
 from kleinkram import connect
 from kleinkram.cli.file import show_found
 from kleinkram.cli.filters import Choice, Many, select_files
-from kleinkram.cli.options import AsJson, DryRun, MissionOption, ProjectOption, the_ref
+from kleinkram.cli.options import (
+    AsJson,
+    DryRun,
+    MissionOption,
+    MissionsOption,
+    ProjectOption,
+    ProjectsOption,
+    the_only,
+    the_ref,
+)
 from kleinkram.cli.render import escape, note, show_json
 from kleinkram.cli.units import count
 from kleinkram.client import Client
@@ -19,8 +28,8 @@ def move(
     files: Annotated[
         Many, typer.Argument(metavar="FILES", help="Paths, globs or ids; none: the mission.", show_default=False)
     ] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     to_project: Annotated[str | None, typer.Option("--to-project", metavar="PROJECT", help="Where to.")] = None,
     to_mission: Annotated[str | None, typer.Option("--to-mission", metavar="MISSION", help="Where to.")] = None,
     dry_run: DryRun = False,
@@ -37,7 +46,8 @@ def move(
         elif files:
             raise InvalidInput(what="The command", reason="files move to a mission: say --to-mission")
         else:
-            _move_mission(client, project, the_ref("mission", None, mission), to_project, dry_run, as_json)
+            one_mission = the_ref("mission", None, the_only("mission", mission))
+            _move_mission(client, the_only("project", project), one_mission, to_project, dry_run, as_json)
 
 
 def rename(
@@ -82,7 +92,7 @@ def _move_files(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    target = client.missions.get(to_mission, project=to_project or choice.project)
+    target = client.missions.get(to_mission, project=to_project or the_only("project", choice.project))
     found = select_files(client, choice, refs)
     if not found:
         raise NothingToDo(reason="No file matches")

@@ -2,20 +2,52 @@
 
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from kleinkram.cli.completion import complete_mission, complete_project
 from kleinkram.cli.errors import Refused
 from kleinkram.cli.render import escape
 from kleinkram.client.errors import InvalidInput
 
 ProjectOption = Annotated[
-    str | None, typer.Option("--project", "-p", metavar="PROJECT", help="Name or id of the project.")
+    str | None,
+    typer.Option(
+        "--project", "-p", metavar="PROJECT", help="Name or id of the project.", autocompletion=complete_project
+    ),
 ]
 MissionOption = Annotated[
-    str | None, typer.Option("--mission", "-m", metavar="MISSION", help="Name or id of the mission.")
+    str | None,
+    typer.Option(
+        "--mission", "-m", metavar="MISSION", help="Name or id of the mission.", autocompletion=complete_mission
+    ),
+]
+ProjectsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--project",
+        "-p",
+        metavar="PROJECT",
+        help="Name, glob or id; may be given several times.",
+        autocompletion=complete_project,
+    ),
+]
+MissionsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--mission",
+        "-m",
+        metavar="MISSION",
+        help="Name, glob or id; may be given several times.",
+        autocompletion=complete_mission,
+    ),
+]
+ExcludeOption = Annotated[
+    list[str] | None,
+    typer.Option("--exclude", metavar="GLOB", help="Leave out such paths, names or folders; repeatable."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")]
@@ -55,6 +87,17 @@ def the_ref(what: str, positional: str | None, option: str | None) -> str:
     if (positional is None) == (option is None):
         raise InvalidInput(what="The command", reason=f"say which {what}, once")
     return positional if positional is not None else option or ""
+
+
+def the_only(what: str, refs: Sequence[str] | None) -> str | None:
+    """Return the one name or id that an option was given; None where it was not given.
+
+    Raises:
+        InvalidInput: it was given several times, but the command acts on one.
+    """
+    if refs is not None and len(refs) > 1:
+        raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times, and this takes one")
+    return refs[0] if refs else None
 
 
 def read_text(path: Path | None) -> str | None:

@@ -5,18 +5,13 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Limit, Yes, confirm
 from kleinkram.cli.render import details, escape, line, moment, note, show_json, show_json_list, table
 from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.people import PersonRead
 
-app = typer.Typer(
-    help="People whom you share a group or a project with; admins see all.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("People whom you share a group or a project with; admins see all.")
 
 Who = Annotated[str, typer.Argument(metavar="PERSON", help="Name, id, or an address you may know.", show_default=False)]
 

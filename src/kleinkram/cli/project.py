@@ -6,21 +6,19 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
+from kleinkram.cli.completion import complete_project
 from kleinkram.cli.options import AsJson, DryRun, IfEdition, Limit, ProjectOption, Yes, confirm, read_text, the_ref
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, duration, parse_size, size
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
-app = typer.Typer(
-    help="Projects: the top of project > mission > file.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Projects: the top of project > mission > file.")
 
-NameArgument = Annotated[str | None, typer.Argument(metavar="PROJECT", show_default=False)]
+NameArgument = Annotated[
+    str | None, typer.Argument(metavar="PROJECT", show_default=False, autocompletion=complete_project)
+]
 DescriptionOption = Annotated[str | None, typer.Option("--description", "-d", help="What it is about.")]
 FieldsOption = Annotated[
     Path | None,

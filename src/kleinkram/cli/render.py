@@ -5,6 +5,8 @@ Names come from strangers: whatever a terminal could obey is escaped before it i
 
 import datetime
 import json
+import os
+import shutil
 import sys
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,6 +14,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import typer
 from pydantic import BaseModel
 
+_GAP = 2
+_LEAST = 12
+_wide: list[bool] = []  # not empty after `show_wide`
 _OBEYED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
@@ -60,17 +65,67 @@ def plain(value: object) -> object:
     return value
 
 
+def show_wide() -> None:
+    """Show ids in tables, and every column in full, from now on."""
+    _wide.append(True)
+
+
 def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr: bool = False) -> None:
-    """Print aligned columns; numbers to the right. Nothing is cut: other programs read this too."""
-    cells = [[_cell(value) for value in row] for row in rows]
+    """Print aligned columns; numbers to the right.
+
+    On a terminal, long texts are cut and columns at the right left out, so that each row is one line. Where other
+    programs read, nothing is cut. The column `id` is there only with `--wide`.
+    """
+    shown = [column for column, header in enumerate(headers) if header != "id" or _wide]
+    headers = [headers[column] for column in shown]
+    cells = [[_cell(row[column]) for column in shown] for row in map(tuple, rows)]
     if not cells:
         note("Nothing found.")
         return
-    widths = [max(_width(row[column]) for row in [[*headers], *cells]) for column in range(len(headers))]
+    widths = [max(_width(row[column]) for row in [headers, *cells]) for column in range(len(headers))]
     right = [all(_is_number(row[column]) for row in cells) for column in range(len(headers))]
+    widths = _fitted(widths, right)
     for row in [[header.upper() for header in headers], *cells]:
-        padded = [_pad(cell, width, at_right) for cell, width, at_right in zip(row, widths, right, strict=True)]
+        padded = [_pad(_cut(cell, width), width, at_right) for cell, width, at_right in zip(row, widths, right)]  # noqa: B905  columns at the right may be left out
         typer.echo("  ".join(padded).rstrip(), err=to_stderr)
+    if len(widths) < len(headers):
+        note(f"Not shown for lack of room: {', '.join(headers[len(widths) :])}. --wide shows all.")
+
+
+def _columns() -> int | None:
+    """Return how many columns the terminal has; None where no person looks."""
+    said = os.environ.get("COLUMNS", "")
+    if _wide or not (sys.stdout.isatty() or said.isdigit()):
+        return None
+    return shutil.get_terminal_size().columns
+
+
+def _fitted(widths: list[int], right: Sequence[bool]) -> list[int]:
+    """Return widths with which a row fits the terminal: long texts get less, then columns at the right are left out."""
+    room = _columns()
+    if room is None:
+        return widths
+    fitted = [*widths]
+    while sum(fitted) + _GAP * (len(fitted) - 1) > room:
+        texts = [column for column, width in enumerate(fitted) if width > _LEAST and not right[column]]
+        if texts:
+            widest = max(texts, key=lambda column: fitted[column])
+            fitted[widest] -= 1
+        elif len(fitted) > 1:
+            fitted = [*widths[: len(fitted) - 1]]
+        else:
+            break
+    return fitted
+
+
+def _cut(text: str, width: int) -> str:
+    """Return a text of at most this width; what is left out of the middle is an ellipsis."""
+    if _width(text) <= width:
+        return text
+    head, tail = text[: (width - 1) // 3], text
+    while _width(head) + 1 + _width(tail) > width:
+        tail = tail[1:]
+    return f"{head}…{tail}"
 
 
 def details(pairs: Iterable[tuple[str, object]]) -> None:

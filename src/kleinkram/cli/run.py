@@ -9,12 +9,13 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import Interrupted, exit_code_of
-from kleinkram.cli.filters import Many
+from kleinkram.cli.filters import Many, ids_of
 from kleinkram.cli.following import follow, last_word
 from kleinkram.cli.launch import FollowOption, ForceOption, code_of, follow_all
 from kleinkram.cli.log_view import write_log
-from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption
+from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption
 from kleinkram.cli.render import line, note, show_json, show_json_list, table
 from kleinkram.cli.run_view import action_name, show_run, show_runs
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
@@ -27,13 +28,7 @@ from kleinkram.contract.runs import RunFilter, RunState, SayingFilter
 
 _SHOWN = 50
 
-app = typer.Typer(
-    help="Runs: executions of actions on missions.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Runs: executions of actions on missions.")
 
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="Its id.", show_default=False)]
 CodeOption = Annotated[str | None, typer.Option("--name", metavar="GLOB", help="Of this name, such as 'imu.*'.")]
@@ -41,8 +36,8 @@ CodeOption = Annotated[str | None, typer.Option("--name", metavar="GLOB", help="
 
 @app.command("list")
 def list_(
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     action: Annotated[str | None, typer.Option("--action", metavar="GLOB", help="Of actions of this name.")] = None,
     state: Annotated[list[RunState] | None, typer.Option("--state", help="May be given several times.")] = None,
     active: Annotated[bool, typer.Option("--active", help="Only those that are not over.")] = False,
@@ -54,7 +49,7 @@ def list_(
     """List runs, latest first."""
     given: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
     with connect() as client:
-        given |= _place(client, project, mission)
+        given |= ids_of(client, project, mission)
         matching = checked(RunFilter, "The filter", **{key: value for key, value in given.items() if value})
         if count:
             number = client.runs.count(matching)
@@ -171,8 +166,8 @@ def artifacts(
 @app.command("findings")
 def findings(
     run: Annotated[str | None, typer.Argument(metavar="RUN", help="Of one run.", show_default=False)] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     name: CodeOption = None,
     severity: Annotated[list[Severity] | None, typer.Option("--severity", help="May be given several times.")] = None,
     limit: Limit = None,
@@ -207,8 +202,8 @@ def findings(
 @app.command("metrics")
 def metrics(
     run: Annotated[str | None, typer.Argument(metavar="RUN", help="Of one run.", show_default=False)] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     name: CodeOption = None,
     limit: Limit = None,
     as_json: AsJson = False,
@@ -236,14 +231,8 @@ def metrics(
     )
 
 
-def _saying(client: Client, run: str | None, project: str | None, mission: str | None, **more: object) -> SayingFilter:
-    given: dict[str, object] = {**more, **_place(client, project, mission)}
+def _saying(client: Client, run: str | None, project: Many, mission: Many, **more: object) -> SayingFilter:
+    given: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
         given["run_id"] = client.runs.get(run).id
     return checked(SayingFilter, "The filter", **{key: value for key, value in given.items() if value})
-
-
-def _place(client: Client, project: str | None, mission: str | None) -> dict[str, object]:
-    if mission is not None:
-        return {"mission_id": client.missions.get(mission, project=project).id}
-    return {} if project is None else {"project_id": client.projects.get(project).id}

@@ -39,7 +39,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
     """Print runs of any missions as a table, and why those that wait do."""
     rows = [*runs]
     table(
-        ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "id"],
+        ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "run"],
         [
             (
                 run.mission.project.name,

@@ -13,17 +13,12 @@ import platformdirs
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import moment, show_json_list, table
 from kleinkram.cli.units import parse_size, size
 
-app = typer.Typer(
-    help="Runners: machines that run actions.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Runners: machines that run actions.")
 
 
 _FOLDER = "kleinkram-runner"

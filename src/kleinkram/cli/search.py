@@ -1,6 +1,7 @@
 """`klein search`"""
 
 import enum
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Annotated
 
@@ -9,14 +10,14 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.file import show_found
 from kleinkram.cli.filters import Choice, Many, file_filter, mission_query, with_choice
-from kleinkram.cli.mission_view import show_missions, show_topics
+from kleinkram.cli.mission_view import show_missions
 from kleinkram.cli.options import AsJson, Limit
 from kleinkram.cli.render import note, show_json, show_json_list, table
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
 from kleinkram.contract.query import render
-from kleinkram.contract.searching import FacetsRead
+from kleinkram.contract.searching import FacetsRead, TopicFound
 
 
 class Shown(str, enum.Enum):
@@ -62,8 +63,8 @@ def search(
             missions = [*client.missions.list(query=mission_query(client, choice, path or []), limit=limit)]
             show_json_list(missions) if as_json else show_missions(missions)
         elif show is Shown.topics:
-            topics = [*client.files.find_topics(file_filter(client, choice, path or []), limit=limit)]
-            show_json_list(topics) if as_json else show_topics(topics, {})
+            topics = client.files.topics_found(file_filter(client, choice, path or []))[:limit]
+            show_json_list(topics) if as_json else _show_topics(topics)
         else:
             files = [*client.files.list(file_filter(client, choice, path or []), sort=sort, limit=limit)]
             show_json_list(files) if as_json else show_found(files)
@@ -73,8 +74,13 @@ def _count(client: Client, choice: Choice, show: Shown, paths: list[str]) -> int
     if show is Shown.missions:
         return client.missions.count(query=mission_query(client, choice, paths))
     if show is Shown.topics:
-        return sum(1 for _ in client.files.find_topics(file_filter(client, choice, paths)))
+        return len(client.files.topics_found(file_filter(client, choice, paths)))
     return client.files.count(file_filter(client, choice, paths))
+
+
+def _show_topics(topics: Iterable[TopicFound]) -> None:
+    rows = [(each.name, each.message_type, each.file_count, each.message_count) for each in topics]
+    table(["topic", "type", "files", "messages"], rows)
 
 
 def _show_facets(found: FacetsRead, as_json: bool) -> None:

@@ -6,16 +6,12 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Yes, confirm
 from kleinkram.cli.render import line, moment, note, show_json, show_json_list, table
 from kleinkram.client.errors import InvalidInput
 
-app = typer.Typer(
-    help="Browsers that you are signed in with.",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Browsers that you are signed in with.", no_args_is_help=False)
 
 
 @app.command("list")

@@ -5,19 +5,14 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Limit, MissionOption, ProjectOption, Until, the_ref
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, ending, in_days, size
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.names import is_id
 
-app = typer.Typer(
-    help="Links to a mission, or to some of its files, for people without an account.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Links to a mission, or to some of its files, for people without an account.")
 
 _USUAL_DAYS = 14
 

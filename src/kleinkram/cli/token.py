@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, Limit, Until
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import ending
@@ -15,13 +16,7 @@ from kleinkram.contract.names import is_id
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.tokens import TokenRead
 
-app = typer.Typer(
-    help="Tokens: what scripts, robots and runners sign in with.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("Tokens: what scripts, robots and runners sign in with.")
 
 Days = Annotated[int | None, typer.Option("--days", metavar="N", min=1, max=36_500, help="It ends in so many days.")]
 Everybody = Annotated[bool, typer.Option("--everybody", help="Those of others, too; for admins.")]

@@ -5,18 +5,13 @@ from typing import Annotated
 import typer
 
 from kleinkram import connect
+from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import escape, note, show_json, show_json_list, table
 from kleinkram.cli.units import size
 from kleinkram.contract.trash import TrashNoun
 
-app = typer.Typer(
-    help="What was deleted, for 30 days.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = Noun("What was deleted, for 30 days.")
 
 NounOption = Annotated[TrashNoun | None, typer.Option("--noun", help="Only these.")]
 

@@ -2,17 +2,21 @@
 
 import time
 import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.errors import Interrupted, exit_code_of
+from kleinkram.cli.commands import wants_json
+from kleinkram.cli.errors import ExitCode, Interrupted, exit_code_of
 from kleinkram.cli.options import (
     AsJson,
     Connections,
     DryRun,
+    ExcludeOption,
     LimitRate,
     MissionOption,
     ProjectOption,
@@ -23,11 +27,12 @@ from kleinkram.cli.render import note, show_json, table
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client
-from kleinkram.client.errors import NothingToDo, TimedOut
+from kleinkram.client.errors import InvalidInput, NothingToDo, TimedOut
 from kleinkram.client.transfer import UploadPlan, plan_upload
+from kleinkram.client.transfer.plan import mission_folders
 from kleinkram.client.transfer.upload import CONNECTIONS
 from kleinkram.client.transfer.upload import upload as upload_files
-from kleinkram.contract.errors import NotFound
+from kleinkram.contract.errors import KleinkramError, NotFound
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import is_id
 
@@ -51,6 +56,10 @@ def upload(
     wait_limit: Annotated[
         float, typer.Option("--wait-limit", metavar="SECONDS", min=0, help="Wait at most so long.")
     ] = 600,
+    exclude: ExcludeOption = None,
+    mission_per_folder: Annotated[
+        bool, typer.Option("--mission-per-folder", help="Each subfolder of PATHS is a mission of its name.")
+    ] = False,
     limit_rate: LimitRate = None,
     connections: Connections = CONNECTIONS,
     dry_run: DryRun = False,
@@ -60,21 +69,75 @@ def upload(
 
     A folder keeps its tree: `day1` puts day1/cam.mcap, while `day1/` (or `.`) puts its contents, cam.mcap.
     """
-    bytes_per_s = parse_rate(limit_rate)
-    text = read_text(metadata)
+    how = _How(
+        create=create,
+        metadata_yaml=read_text(metadata),
+        include_active=include_active,
+        exclude=exclude or [],
+        bytes_per_s=parse_rate(limit_rate),
+        connections=connections,
+        wait_s=wait_limit if wait else None,
+        dry_run=dry_run,
+    )
     with connect() as client:
-        plan = plan_upload(paths, include_active=include_active)
-        say_left_out(plan.left_out)
-        if not plan.files and not plan.left_out:
-            raise NothingToDo(reason="There is no file in these paths")
-        found = _find(client, project, the_ref("mission", None, mission), create)
-        if dry_run:
-            _show_plan(plan, as_json)
-            return
-        target = found or _make(client, project, mission or "", text)
-        if found is not None and text is not None:
-            note("The mission exists; --metadata was left aside (`klein mission update` changes it).")
-        _transfer(client, target, plan, connections, bytes_per_s, wait_limit if wait else None, as_json)
+        if not mission_per_folder:
+            told, code = _upload(client, project, the_ref("mission", None, mission), paths, how)
+        elif mission is not None:
+            raise InvalidInput(what="--mission-per-folder", reason="each folder names its mission: leave out --mission")
+        else:
+            told, code = _upload_folders(client, the_ref("project", None, project), paths, how)
+    if as_json:
+        show_json(told)
+    if code:
+        raise typer.Exit(code)
+
+
+@dataclass(frozen=True)
+class _How:
+    """How to upload: what the options said."""
+
+    create: bool
+    metadata_yaml: str | None
+    include_active: bool
+    exclude: Sequence[str]
+    bytes_per_s: float | None
+    connections: int
+    wait_s: float | None
+    dry_run: bool
+
+
+def _upload(
+    client: Client, project: str | None, mission: str, paths: Sequence[str], how: _How
+) -> tuple[dict[str, object], int]:
+    """Upload into one mission; return what JSON says of it, and the exit code."""
+    plan = plan_upload(paths, include_active=how.include_active, exclude=how.exclude)
+    say_left_out(plan.left_out)
+    if not plan.files and not plan.left_out:
+        raise NothingToDo(reason="There is no file in these paths")
+    found = _find(client, project, mission, how.create)
+    if how.dry_run:
+        return _show_plan(plan), 0
+    target = found or _make(client, project, mission, how.metadata_yaml)
+    if found is not None and how.metadata_yaml is not None:
+        note("The mission exists; --metadata was left aside (`klein mission update` changes it).")
+    return _transfer(client, target, plan, how)
+
+
+def _upload_folders(client: Client, project: str, paths: Sequence[str], how: _How) -> tuple[dict[str, object], int]:
+    """Upload each subfolder of some folders into a mission of its name; one that fails does not stop the others."""
+    missions = mission_folders(paths, how.exclude)
+    items: list[dict[str, object]] = []
+    codes: set[int] = set()
+    for name, folder in missions.items():
+        note(f"{name}:")
+        try:
+            told, code = _upload(client, project, name, [f"{folder}/"], how)
+        except KleinkramError as error:
+            told, code = {"error": str(error)}, exit_code_of([error])
+            note(f"Error: {error}")
+        items.append({"mission": name, **told})
+        codes |= {code} if code else set()
+    return {"items": items}, 0 if not codes else codes.pop() if len(codes) == 1 else ExitCode.several
 
 
 def _find(client: Client, project: str | None, mission: str, create: bool) -> MissionRead | None:
@@ -95,43 +158,31 @@ def _make(client: Client, project: str | None, mission: str, metadata_yaml: str 
     return made
 
 
-def _show_plan(plan: UploadPlan, as_json: bool) -> None:
-    if as_json:
-        files = [{"path": file.path, "local": str(file.source), "size_bytes": file.size_bytes} for file in plan.files]
-        show_json({"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]})
-        return
-    table(["path", "size", "from"], [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files])
+def _show_plan(plan: UploadPlan) -> dict[str, object]:
+    if not wants_json():
+        table(["path", "size", "from"], [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files])
+    files = [{"path": file.path, "local": str(file.source), "size_bytes": file.size_bytes} for file in plan.files]
     note(f"Would upload {count(len(plan.files), 'file')}, {size(plan.size_bytes)}.")
+    return {"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]}
 
 
-def _transfer(
-    client: Client,
-    mission: MissionRead,
-    plan: UploadPlan,
-    connections: int,
-    bytes_per_s: float | None,
-    wait: float | None,
-    as_json: bool,
-) -> None:
+def _transfer(client: Client, mission: MissionRead, plan: UploadPlan, how: _How) -> tuple[dict[str, object], int]:
     from kleinkram.cli.progress import watching
 
     began_at = time.monotonic()
     try:
         with watching() as watcher:
             report = upload_files(
-                client, mission.id, plan, connections=connections, bytes_per_s=bytes_per_s, watcher=watcher
+                client, mission.id, plan, connections=how.connections, bytes_per_s=how.bytes_per_s, watcher=watcher
             )
     except KeyboardInterrupt:
         raise Interrupted from None
     elapsed_s = time.monotonic() - began_at
-    if as_json:
-        show_json({"mission_id": str(mission.id), "elapsed_s": elapsed_s, **plain_report(report)})
     say_summary(report, elapsed_s)
     code = exit_code_of([*report.failures, *report.left_out])
-    if code == 0 and wait is not None:
-        _wait_for_summaries(client, mission.id, wait)
-    if code != 0:
-        raise typer.Exit(code)
+    if code == 0 and how.wait_s is not None:
+        _wait_for_summaries(client, mission.id, how.wait_s)
+    return {"mission_id": str(mission.id), "elapsed_s": elapsed_s, **plain_report(report)}, code
 
 
 def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -> None:

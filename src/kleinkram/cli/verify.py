@@ -8,7 +8,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.errors import ExitCode, exit_code_of
 from kleinkram.cli.filters import Choice, Many, select_files
-from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, the_ref
+from kleinkram.cli.options import AsJson, MissionsOption, ProjectsOption, the_only, the_ref
 from kleinkram.cli.render import moment, note, show_json, table
 from kleinkram.cli.transfer_view import plain_error, say_left_out
 from kleinkram.cli.units import count, size
@@ -19,8 +19,8 @@ from kleinkram.client.transfer import UploadPlan, Verdict, Verified, plan_upload
 
 def verify(
     paths: Annotated[Many, typer.Argument(metavar="PATHS", help="Local files and folders.", show_default=False)] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
     remote: Annotated[
         bool, typer.Option("--remote", help="Have the server read its bytes again; PATHS are then the mission's.")
     ] = False,
@@ -34,7 +34,8 @@ def verify(
             found = _remote(client, project, mission, paths or [], timeout)
         else:
             plan = _plan(paths or [])
-            mission_id = client.missions.get(the_ref("mission", None, mission), project=project).id
+            one_mission = the_ref("mission", None, the_only("mission", mission))
+            mission_id = client.missions.get(one_mission, project=the_only("project", project)).id
             found, left_out = verify_local(client.files, mission_id, plan), plan.left_out
     if as_json:
         show_json({"items": [_plain(one) for one in found], "left_out": [plain_error(each) for each in left_out]})
@@ -61,9 +62,7 @@ def _plan(paths: list[str]) -> UploadPlan:
     return plan
 
 
-def _remote(
-    client: Client, project: str | None, mission: str | None, paths: list[str], timeout_s: float
-) -> list[Verified]:
+def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[Verified]:
     choice = Choice(project=project, mission=mission)
     if choice.is_empty() and not paths:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")

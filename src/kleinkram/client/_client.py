@@ -2,6 +2,10 @@
 
 import importlib
 import logging
+import os
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -9,8 +13,19 @@ from typing_extensions import Self
 
 from kleinkram.client._http import Api
 from kleinkram.client.config import Endpoint, find_endpoint
+from kleinkram.client.errors import InvalidInput, NothingToDo
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from kleinkram.client.references import HasId, Ref
+    from kleinkram.client.search import FileFields, Wanted
+    from kleinkram.client.transfer import TransferReport
+    from kleinkram.contract.files import FileRead
+    from kleinkram.contract.metadata import Metadata
+
+    AnyPath = str | os.PathLike[str]
+
     from kleinkram.client.access import Access
     from kleinkram.client.actions import Actions
     from kleinkram.client.admin import Admin
@@ -70,6 +85,116 @@ class Client:
         self._api = Api(endpoint)
         self.endpoint = endpoint
 
+    def upload(
+        self,
+        paths: "AnyPath | Sequence[AnyPath]",
+        mission: "Ref",
+        *,
+        project: "Ref | None" = None,
+        create: bool = False,
+        metadata: "Metadata | None" = None,
+        exclude: "Sequence[str]" = (),
+        include_active: bool = False,
+        connections: int = 4,
+        bytes_per_s: float | None = None,
+    ) -> "TransferReport":
+        """Upload files and folders into a mission, and return how each ended; the same call again sends only the rest.
+
+        A folder keeps its tree, as with `klein upload`. With `create`, the mission is made where there is none, with
+        this metadata.
+
+        Raises:
+            NotFound: there is no such mission, and `create` was not given.
+            MetadataInvalid: the metadata of the new mission does not satisfy its project.
+            InvalidInput: a path does not exist.
+            PathsCollide: two files would have the same path.
+            NothingToDo: there is no file in these paths.
+            ServerUnreachable, StoreUnreachable: one of them stayed away.
+        """
+        from kleinkram.client.transfer import plan_upload
+        from kleinkram.client.transfer.upload import upload
+        from kleinkram.contract.errors import NotFound
+
+        plan = plan_upload(as_paths(paths), include_active=include_active, exclude=exclude)
+        if not plan.files and not plan.left_out:
+            raise NothingToDo(reason="There is no file in these paths")
+        try:
+            mission_id = self.missions.get(mission, project=project).id
+        except NotFound as error:
+            if not create or error.noun != "mission" or not isinstance(mission, str):
+                raise
+            named, _, name = mission.rpartition("/")
+            place = project if project is not None else named or None
+            mission_id = self.missions.create(name, project=place, metadata=metadata).id
+        return upload(self, mission_id, plan, connections=connections, bytes_per_s=bytes_per_s)
+
+    def download(
+        self,
+        what: "Wanted | HasId | Sequence[HasId]" = None,
+        dest: "AnyPath" = ".",
+        *,
+        nested: bool = False,
+        overwrite: bool = False,
+        connections: int = 4,
+        bytes_per_s: float | None = None,
+        **fields: "Unpack[FileFields]",
+    ) -> "TransferReport":
+        """Download files below a folder, each verified before it gets its name, and return how each ended.
+
+        Args:
+            what: a file, a mission, or several; the text of a query, or a filter. Or say which by keywords, as in
+                `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
+            dest: the folder; it is made where it is missing.
+            nested: write to PROJECT/MISSION/PATH below it.
+            overwrite: replace files that are there with other content.
+            connections: transfers at the same time.
+            bytes_per_s: at most so fast.
+            **fields: those of `FileFields`.
+
+        Raises:
+            NothingToDo: no file matches, or nothing was said.
+            PathsCollide: two files would have the same place.
+            DiskFull, DestinationRefused: the folder cannot take them.
+            ServerUnreachable, StoreUnreachable: one of them stayed away.
+        """
+        from kleinkram.client.transfer import plan_download
+        from kleinkram.client.transfer.download import download
+
+        files = self._files_of(what, fields)
+        if not files:
+            raise NothingToDo(reason="No file matches")
+        plan = plan_download(files, Path(as_paths(dest)[0]), nested=nested)
+        return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
+
+    def _files_of(self, what: "Wanted | HasId | Sequence[HasId]", fields: "FileFields") -> "list[FileRead]":
+        from kleinkram.contract.files import FileFilter, FileRead
+        from kleinkram.contract.missions import MissionRead
+
+        if what is None or isinstance(what, str | FileFilter):
+            if not what and not fields:
+                raise NothingToDo(reason='Say which files: download("*") is all')
+            return [*self.files.list("path:*" if what == "*" else what, **fields)]
+        found: list[FileRead] = []
+        for each in [what] if hasattr(what, "id") else what:
+            if isinstance(each, MissionRead):
+                narrowed = fields.copy()
+                narrowed["mission"] = each
+                found += self.files.list(None, **narrowed)
+            else:
+                found.append(each if isinstance(each, FileRead) else self.files.get(each))
+        return found
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle which server it is (`Endpoint` says how the token travels); connections are made anew."""
+        return Client, (self.endpoint,)
+
+    def __repr__(self) -> str:
+        return f"<Client of {self.endpoint.url}>"
+
+    def _repr_html_(self) -> str:
+        """Return which server it is, for notebooks."""
+        return f"<p>Kleinkram at <b>{escape(self.endpoint.url)}</b> ({escape(self.endpoint.name)})</p>"
+
     if not TYPE_CHECKING:  # or any attribute would be one
 
         def __getattr__(self, noun: str) -> object:
@@ -94,6 +219,18 @@ class Client:
     def close(self) -> None:
         """Close the connections."""
         self._api.close()
+
+
+def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
+    """Return one path or several as a list; a text is one path, and keeps the slash at its end.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    several: object = [paths] if isinstance(paths, str | os.PathLike) else paths
+    if not isinstance(several, Iterable) or not all(isinstance(each, str | os.PathLike) for each in several):
+        raise InvalidInput(what=f"The path {paths!r}", reason="give a path, or several")
+    return [*several]
 
 
 def connect(url: str | None = None, token: str | None = None) -> Client:

@@ -5,8 +5,10 @@ Never moves the bytes of files; those go straight to the store (`transfer/`). Sa
 
 import datetime
 import json
+import logging
 import math
 import os
+import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from email.utils import parsedate_to_datetime
@@ -29,6 +31,7 @@ from kleinkram.client.errors import (
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
 
 T = TypeVar("T", bound=BaseModel)
+_log = logging.getLogger("kleinkram.http")
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
@@ -60,12 +63,17 @@ def _text(value: object) -> str:
 class Api:
     """A connection to one server's API."""
 
-    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
+    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S, is_patient: bool = True) -> None:
         self.endpoint = endpoint
+        self._is_patient = is_patient
         self._base = f"{endpoint.url}/api/v1"
         timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
         self._pool = WatchedPools(maxsize=8, timeout=timeout)
         self._server_ahead = datetime.timedelta(0)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle which server it is; connections are made anew."""
+        return Api, (self.endpoint,)
 
     def now(self) -> datetime.datetime:
         """Return what time it is at the server (aware), as its last answer told: all that ends, ends by its clock."""
@@ -197,6 +205,7 @@ class Api:
     ) -> urllib3.BaseHTTPResponse:
         backoff: Backoff | None = None
         url = self._base + path
+        patience_s = patience_s if self._is_patient else 0.0
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
@@ -229,9 +238,16 @@ class Api:
             headers["Authorization"] = f"Bearer {self.endpoint.token}"
         if content is not None:
             headers["Content-Type"] = "application/json"
-        answer = self._pool.request(
-            method, target, body=content, headers=headers, redirect=False, preload_content=whole
-        )
+        began_at, status = time.monotonic(), "no answer"
+        try:
+            answer = self._pool.request(
+                method, target, body=content, headers=headers, redirect=False, preload_content=whole
+            )
+            status = str(answer.status)
+        finally:
+            path = target.removeprefix(self.endpoint.url).partition("?")[0]  # a query may hold what is secret
+            milliseconds = (time.monotonic() - began_at) * 1000
+            _log.debug("%s %s: %s in %.0f ms (request %s)", method, path, status, milliseconds, said["X-Request-Id"])
         self._hear(answer.headers.get("Date"))
         return answer
 

@@ -1,18 +1,116 @@
 """Lists that page by themselves: one request a page, made when the reader gets there."""
 
-from collections.abc import Iterator
-from typing import TypeVar
+from __future__ import annotations
+
+import datetime
+import enum
+import itertools
+import uuid
+from collections.abc import Callable, Iterator
+from html import escape
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pydantic import BaseModel
 
 from kleinkram.client._http import Api, query_of
+from kleinkram.client.errors import ReadingMissing
 from kleinkram.contract.paging import MAX_PAGE_SIZE, Page
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 T = TypeVar("T", bound=BaseModel)
 
+_SHOWN = 20
 
-def pages(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], *, limit: int | None = None) -> Iterator[T]:
-    """Yield the rows of a list in its order, at most `limit` of them."""
+
+class Listing(Iterator[T], Generic[T]):
+    """The rows of a list, fetched while they are read. Each `for` begins again, with what the server has then."""
+
+    def __init__(self, rows: Callable[[], Iterator[T]]) -> None:
+        self._rows = rows
+        self._reading: Iterator[T] | None = None
+
+    def __iter__(self) -> Iterator[T]:
+        return self._rows()
+
+    def __next__(self) -> T:
+        self._reading = self._reading or self._rows()
+        return next(self._reading)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all rows as a pandas frame: a column a field, those inside of others with dots (`mission.name`).
+
+        Ids are text; fields in `_at` are times (UTC); log times and other integers that may be missing are `Int64`.
+
+        Raises:
+            ReadingMissing: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ReadingMissing(what="pandas") from None
+        rows = [flat(row) for row in self]
+        frame = pandas.DataFrame(rows, columns=[*dict.fromkeys(itertools.chain.from_iterable(rows))])
+        for name in frame.columns:
+            if name.endswith("_at"):
+                frame[name] = pandas.to_datetime(frame[name], utc=True)
+            elif name.endswith(("_ns", "_bytes", "_count")):
+                frame[name] = frame[name].astype("Int64")
+        return frame
+
+    def _repr_html_(self) -> str:
+        """Return the first rows as a table, for notebooks."""
+        rows = [flat(row) for row in itertools.islice(self, _SHOWN + 1)]
+        return html_table(rows[:_SHOWN], more=len(rows) > _SHOWN)
+
+
+def flat(row: BaseModel) -> dict[str, object]:
+    """Return the fields of a row as plain values, those inside of others under dotted names."""
+    plain: dict[str, object] = {}
+    for name in type(row).model_fields:
+        plain |= _flat(name, getattr(row, name))
+    return plain
+
+
+def _flat(name: str, value: object) -> dict[str, object]:
+    if isinstance(value, BaseModel):
+        return {f"{name}.{inner}": one for inner, one in flat(value).items()}
+    if isinstance(value, dict):
+        return {key: one for inner, part in value.items() for key, one in _flat(f"{name}.{inner}", part).items()}
+    if isinstance(value, list):
+        return {name: [one.model_dump(mode="json") if isinstance(one, BaseModel) else one for one in value]}
+    return {
+        name: value.value if isinstance(value, enum.Enum) else str(value) if isinstance(value, uuid.UUID) else value
+    }
+
+
+def html_table(rows: list[dict[str, object]], *, more: bool = False) -> str:
+    """Return rows as an HTML table without ids; whatever they hold is escaped."""
+    names = [name for name in dict.fromkeys(itertools.chain.from_iterable(rows)) if not _is_id(name)]
+    heading = "".join(f"<th>{escape(name)}</th>" for name in names)
+    body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in names)}</tr>" for row in rows)
+    rest = "<p>and more</p>" if more else "" if rows else "<p>Nothing found.</p>"
+    return f"<table><tr>{heading}</tr>{body}</table>{rest}"
+
+
+def _is_id(name: str) -> bool:
+    return name.rpartition(".")[2] in {"id", "edition"} or name.endswith(("_id", "_ids"))
+
+
+def _cell(value: object) -> str:
+    shown = (
+        "" if value is None else f"{value:%Y-%m-%d %H:%M:%SZ}" if isinstance(value, datetime.datetime) else str(value)
+    )
+    return escape(shown)
+
+
+def pages(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], *, limit: int | None = None) -> Listing[T]:
+    """Return the rows of a list in its order, at most `limit` of them."""
+    return Listing(lambda: _rows(api, path, kind, query, limit))
+
+
+def _rows(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], limit: int | None) -> Iterator[T]:
     left, cursor = limit, None
     while left is None or left > 0:
         size = MAX_PAGE_SIZE if left is None else min(left, MAX_PAGE_SIZE)

@@ -21,6 +21,10 @@ class RemoteFiles:
         self._file_ids = file_ids
         self._connections = Connections(PARALLEL_READS)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle which files they are, without connections and addresses: both are made anew."""
+        return RemoteFiles, (self._files, self._file_ids)
+
     def sources(self) -> Sequence[HttpSource]:
         """Return a source for each file, in the order given.
 

@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Iterator
 
 from kleinkram.client._http import Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.groups import Groups
 from kleinkram.client.people import People
@@ -26,11 +26,11 @@ class Access:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def ways(self, place: Place) -> Iterator[AccessRead]:
+    def ways(self, place: Place) -> Listing[AccessRead]:
         """Yield who has a right on a place now, and by what; without WRITE there, only one's own ways."""
         return pages(self._api, f"{_path(place)}/access", AccessRead, [])
 
-    def grants(self, place: Place) -> Iterator[GrantRead]:
+    def grants(self, place: Place) -> Listing[GrantRead]:
         """Yield the grants on a place itself, by the name of whom they are to; those that have expired too."""
         return pages(self._api, f"{_path(place)}/grants", GrantRead, [])
 

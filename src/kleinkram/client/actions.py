@@ -1,13 +1,12 @@
 """Actions, for programs: definitions of what to run on the data of a mission, in versions that never change."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import the_one
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.actions import (
     ActionCreate,
     ActionDefinition,
@@ -18,7 +17,6 @@ from kleinkram.contract.actions import (
     VersionCreate,
 )
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.names import is_id
 
 
 class Actions:
@@ -31,10 +29,10 @@ class Actions:
         self,
         *,
         name: str | None = None,
-        project: str | uuid.UUID | None = None,
+        project: Ref | None = None,
         archived: bool = False,
         limit: int | None = None,
-    ) -> Iterator[ActionRead]:
+    ) -> Listing[ActionRead]:
         """Yield actions by name, which may be a glob; of a project: its own, and the whole lab's.
 
         Those that are archived are listed alone.
@@ -47,20 +45,23 @@ class Actions:
         )
         return pages(self._api, "/actions", ActionRead, query_of(matching), limit=limit)
 
-    def get(self, ref: str | uuid.UUID, *, project: str | uuid.UUID | None = None) -> ActionRead:
+    def get(self, ref: Ref, *, project: Ref | None = None) -> ActionRead:
         """Return the action with this id, or with this name: of a project and the whole lab's, where one is given.
 
         Raises:
             NotFound: there is none.
             AmbiguousName: several have that name, such as one of a project and one of the whole lab.
         """
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return self._api.get(f"/actions/{ref}", ActionRead)
+        if (action_id := known_id(ref, "action")) is not None:
+            return self._api.get(f"/actions/{action_id}", ActionRead)
+        ref = str(ref)
         project_id = self._project_id(project)
         rows = [*self.list(name=ref, project=project_id)] or [*self.list(name=ref, project=project_id, archived=True)]
         return the_one("action", ref, rows, name=lambda row: row.name, label=action_label)
 
-    def create(self, definition: ActionDefinition, *, project_id: uuid.UUID | None = None) -> ActionRead:
+    def create(
+        self, definition: ActionDefinition, *, project: Ref | None = None, project_id: Ref | None = None
+    ) -> ActionRead:
         """Publish an action in a project, or for the whole lab, as its version 1.
 
         `kleinkram.client.manifest.read_manifest` makes a definition of a script or of a folder with `action.yaml`.
@@ -69,13 +70,11 @@ class Actions:
             NameTaken: there is one of that name; `add_version` publishes its next version.
             Forbidden: that takes WRITE on the project; for the lab, the right to make projects.
         """
-        return self._api.send(
-            "POST", "/actions", ActionRead, ActionCreate(project_id=project_id, definition=definition)
-        )
+        where = self._project_id(project if project is not None else project_id)
+        body = checked(ActionCreate, "The action", project_id=where, definition=definition)
+        return self._api.send("POST", "/actions", ActionRead, body)
 
-    def add_version(
-        self, action_id: uuid.UUID, definition: ActionDefinition, *, if_edition: str | None = None
-    ) -> ActionRead:
+    def add_version(self, action_id: Ref, definition: ActionDefinition, *, if_edition: str | None = None) -> ActionRead:
         """Publish the next version of an action, under the name that it has; earlier ones stay and can be run.
 
         With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
@@ -84,12 +83,12 @@ class Actions:
             Forbidden: it is not yours to change.
             EditedMeanwhile: it is of another edition by now.
         """
-        body = VersionCreate(definition=definition)
-        return self._api.send("POST", f"/actions/{action_id}/versions", ActionRead, body, edition=if_edition)
+        body = checked(VersionCreate, "The version", definition=definition)
+        return self._api.send("POST", f"/actions/{self._id(action_id)}/versions", ActionRead, body, edition=if_edition)
 
-    def versions(self, action_id: uuid.UUID) -> Iterator[ActionVersionRead]:
+    def versions(self, action_id: Ref) -> Listing[ActionVersionRead]:
         """Yield the versions of an action, latest first."""
-        return pages(self._api, f"/actions/{action_id}/versions", ActionVersionRead, [])
+        return pages(self._api, f"/actions/{self._id(action_id)}/versions", ActionVersionRead, [])
 
     def version(self, action: ActionRead, number: int | None = None) -> ActionVersionRead:
         """Return a version of an action by its number; without one, the latest.
@@ -104,7 +103,7 @@ class Actions:
             raise NotFound(noun="version", ref=f"{action.name}@{number}")
         return found
 
-    def archive(self, action_id: uuid.UUID, *, archived: bool = True, if_edition: str | None = None) -> ActionRead:
+    def archive(self, action_id: Ref, *, archived: bool = True, if_edition: str | None = None) -> ActionRead:
         """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay.
 
         With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
@@ -113,11 +112,14 @@ class Actions:
             Forbidden: it is not yours to change.
             EditedMeanwhile: it is of another edition by now.
         """
-        body = ActionUpdate(archived=archived)
-        return self._api.patch(f"/actions/{action_id}", ActionRead, body, edition=if_edition)
+        body = checked(ActionUpdate, "The action", archived=archived)
+        return self._api.patch(f"/actions/{self._id(action_id)}", ActionRead, body, edition=if_edition)
 
-    def _project_id(self, project: str | uuid.UUID | None) -> uuid.UUID | None:
-        return project if project is None or isinstance(project, uuid.UUID) else Projects(self._api).get(project).id
+    def _project_id(self, project: Ref | None) -> uuid.UUID | None:
+        return None if project is None else Projects(self._api).id_of(project)
+
+    def _id(self, action: Ref) -> uuid.UUID:
+        return known_id(action, "action") or self.get(action).id
 
 
 def action_label(action: ActionRead) -> str:

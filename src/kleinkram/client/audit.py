@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.contract.audit import AuditFilter, AuditRead
 
 
@@ -13,7 +13,7 @@ class Audit:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(self, matching: AuditFilter | None = None, *, limit: int | None = None) -> Iterator[AuditRead]:
+    def list(self, matching: AuditFilter | None = None, *, limit: int | None = None) -> Listing[AuditRead]:
         """Yield the events that match, latest first."""
         return pages(self._api, "/audit", AuditRead, query_of(matching), limit=limit)
 

@@ -6,7 +6,7 @@ In this order: what the caller gives; KLEINKRAM_URL and KLEINKRAM_TOKEN; the end
 
 import enum
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import platformdirs
@@ -39,6 +39,13 @@ class Endpoint:
     # None: as nobody in particular, who may read what is public, and ask for a token.
     token: str | None = field(repr=False)
     source: EndpointSource
+    # Said by the caller, or in the address of a link: known nowhere else.
+    is_token_given: bool = False
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle without the token where it can be read again from this user's configuration; else with it."""
+        token = self.token if self.is_token_given else None
+        return _find_again, (self.name, self.url, token, self.source, self.token is not None)
 
 
 class _Instance(BaseModel):
@@ -65,6 +72,32 @@ def find_endpoint(url: str | None = None, token: str | None = None) -> Endpoint:
         ConfigurationBroken: a file that should name it cannot be read.
         CredentialsExposed: others can read the file of tokens.
     """
+    endpoint = _find_endpoint(url, token)
+    is_given = endpoint.token is not None and (endpoint.token == token or f"{SHARE_PAGE}#" in (url or ""))
+    return replace(endpoint, is_token_given=is_given)
+
+
+def _find_again(name: str, url: str, token: str | None, source: EndpointSource, had_token: bool) -> Endpoint:
+    """Return a pickled endpoint, with the token that is configured for it here.
+
+    Raises:
+        NotConfigured: it had a token, and none is configured here.
+    """
+    if token is not None:
+        return replace(find_endpoint(url, token), name=name, source=source)
+    found: Endpoint | None = None
+    if source is EndpointSource.environment and os.environ.get(URL_VARIABLE):
+        found = find_endpoint()
+    elif (saved := load_endpoints().endpoints.get(name)) is not None:
+        found = Endpoint(name, saved.url, saved.token, source)
+    if found is None or found.url != url:
+        found = replace(find_endpoint(url), name=name, source=source)
+    if had_token and found.token is None:
+        raise NotConfigured(reason=f"this was pickled where a token for {url} was configured, and here there is none")
+    return found
+
+
+def _find_endpoint(url: str | None, token: str | None) -> Endpoint:
     if url:
         return _with_token("(given)", url, token, EndpointSource.argument)
     if given := os.environ.get(URL_VARIABLE):
@@ -75,7 +108,10 @@ def find_endpoint(url: str | None = None, token: str | None = None) -> Endpoint:
         return Endpoint(saved.current, chosen.url, token or chosen.token, EndpointSource.chosen)
     local = find_local()
     if local is None:
-        raise NotConfigured(reason="no endpoint was chosen and this user has no instance of `klein up`")
+        raise NotConfigured(
+            reason=f"no endpoint was chosen, and there is no instance of `klein up` in {data_dir()} "
+            f"(where it was started with --data-dir D, set {DATA_DIR_VARIABLE}=D)"
+        )
     return local if token is None else Endpoint(local.name, local.url, token, local.source)
 
 

@@ -215,6 +215,13 @@ class InvalidInput(ClientError):
 
 
 @dataclass(eq=False)
+class ReadingMissing(ClientError):
+    """{what} is not installed, and this needs it: `pip install 'open-kleinkram[reading]'`."""
+
+    what: str
+
+
+@dataclass(eq=False)
 class TimedOut(ClientError):
     """{what} was not finished after {seconds:g} s. It goes on in the server; look again later."""
 

@@ -3,24 +3,24 @@
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 
+from typing_extensions import Unpack
+
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import the_one
-from kleinkram.client.search import Wanted, as_filter
+from kleinkram.client.references import Ref, known_id, the_one
+from kleinkram.client.search import FileFields, Wanted, as_filter
 from kleinkram.contract.files import (
     DownloadLinks,
     DownloadRequest,
-    FileFilter,
     FileRead,
     FileSort,
     FileUpdate,
     TopicRead,
 )
-from kleinkram.contract.names import is_id
 from kleinkram.contract.runs import LineageRead
-from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange
+from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
 from kleinkram.contract.trash import Deleted
 
 
@@ -31,57 +31,91 @@ class Files:
         self._api = api
 
     def list(
-        self, matching: Wanted = None, *, sort: FileSort | None = None, limit: int | None = None
-    ) -> Iterator[FileRead]:
+        self,
+        matching: Wanted = None,
+        *,
+        sort: FileSort | None = None,
+        limit: int | None = None,
+        **fields: Unpack[FileFields],
+    ) -> Listing[FileRead]:
         """Yield the files that match, by project, mission and path unless `sort` says otherwise.
 
-        Here and below, `matching` is a filter, or the text of a query such as `"topic:/imu -label:night"`.
+        Here and below, say which by keywords, as in `list(project="alpine", topic="*imu*")` (those of `FileFields`), by
+        the text of a query such as `"topic:/imu -label:night"`, or by a filter; a query and keywords are one text.
 
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        query = query_of(as_filter(matching), sort=sort.value if sort else None)
+        query = query_of(as_filter(matching, fields), sort=sort.value if sort else None)
         return pages(self._api, "/files", FileRead, query, limit=limit)
 
-    def count(self, matching: Wanted = None) -> int:
+    def count(self, matching: Wanted = None, **fields: Unpack[FileFields]) -> int:
         """Return how many files match."""
-        return count(self._api, "/files", FileRead, query_of(as_filter(matching)))
+        return count(self._api, "/files", FileRead, query_of(as_filter(matching, fields)))
 
     def get(
         self,
-        ref: str | uuid.UUID,
+        ref: Ref,
         *,
-        mission: str | uuid.UUID | None = None,
-        project: str | uuid.UUID | None = None,
+        mission: Ref | None = None,
+        project: Ref | None = None,
     ) -> FileRead:
         """Return the file with this id, or with this path (in that mission, where one is given).
+
+        Wherever a file is meant, either will do, or the file itself.
 
         Raises:
             NotFound: there is none, or no such mission or project.
             AmbiguousName: several missions have one of that path.
         """
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return self._api.get(f"/files/{ref}", FileRead)
-        if mission is None:
-            scope = FileFilter(path=[ref], project=None if project is None else str(project))
-        else:
-            scope = FileFilter(path=[ref], mission_id=Missions(self._api).get(mission, project=project).id)
-        return the_one("file", ref, self.list(scope), name=lambda row: row.path, label=file_label)
+        if (file_id := known_id(ref, "file")) is not None:
+            return self._api.get(f"/files/{file_id}", FileRead)
+        path = str(ref)
+        place: FileFields = {"path": path}
+        if mission is not None:
+            place["mission"] = Missions(self._api).id_of(mission, project=project)
+        elif project is not None:
+            place["project"] = project
+        scope = as_filter(None, place)
+        return the_one("file", path, self.list(scope), name=lambda row: row.path, label=file_label)
 
-    def topics(self, file_id: uuid.UUID) -> Iterator[TopicRead]:
+    def id_of(self, ref: Ref) -> uuid.UUID:
+        """Return the id of a file that is named by its path; one that is known is not asked for.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        return known_id(ref, "file") or self.get(ref).id
+
+    def topics(self, file_id: Ref) -> Listing[TopicRead]:
         """Yield the topics of one file, by name."""
-        return pages(self._api, f"/files/{file_id}/topics", TopicRead, [])
+        return pages(self._api, f"/files/{self.id_of(file_id)}/topics", TopicRead, [])
 
-    def lineage(self, file_id: uuid.UUID) -> LineageRead:
+    def lineage(self, file_id: Ref) -> LineageRead:
         """Return which run made a file, of what, and which runs have read it, and what they made: a step each way."""
-        return self._api.get(f"/files/{file_id}/lineage", LineageRead)
+        return self._api.get(f"/files/{self.id_of(file_id)}/lineage", LineageRead)
 
-    def find_topics(self, matching: Wanted = None, *, limit: int | None = None) -> Iterator[TopicRead]:
+    def find_topics(
+        self, matching: Wanted = None, *, limit: int | None = None, **fields: Unpack[FileFields]
+    ) -> Listing[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
-        return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching)), limit=limit)
+        return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching, fields)), limit=limit)
+
+    def topics_found(self, matching: Wanted = None, **fields: Unpack[FileFields]) -> Sequence[TopicFound]:
+        """Return each topic of the files that match once, by name and type, over all files."""
+        files: dict[tuple[str, str | None], int] = {}
+        messages: dict[tuple[str, str | None], int | None] = {}
+        for row in self.find_topics(matching, **fields):
+            key = (row.name, row.message_type)
+            files[key] = files.get(key, 0) + 1
+            messages[key] = row.count if messages.get(key) is None else (messages[key] or 0) + (row.count or 0)
+        return [
+            TopicFound(name=name, message_type=kind, file_count=count, message_count=messages[name, kind])
+            for (name, kind), count in sorted(files.items(), key=lambda item: (item[0][0], item[0][1] or ""))
+        ]
 
     def update(
-        self, file_id: uuid.UUID, *, if_edition: str | None = None, **changes: str | uuid.UUID | Sequence[str]
+        self, file_id: Ref, *, if_edition: str | None = None, **changes: str | uuid.UUID | Sequence[str]
     ) -> FileRead:
         """Change what is given (the fields of `FileUpdate`): a path renames, a `mission_id` moves; no byte is touched.
 
@@ -93,10 +127,10 @@ class Files:
             EditedMeanwhile: it is of another edition by now.
         """
         body = checked(FileUpdate, "The file", **changes)
-        return self._api.patch(f"/files/{file_id}", FileRead, body, edition=if_edition)
+        return self._api.patch(f"/files/{self.id_of(file_id)}", FileRead, body, edition=if_edition)
 
     def label(
-        self, file_ids: Iterable[uuid.UUID], *, add: Sequence[str] = (), remove: Sequence[str] = ()
+        self, file_ids: Iterable[Ref], *, add: Sequence[str] = (), remove: Sequence[str] = ()
     ) -> Iterator[FileLabelled]:
         """Put labels on files and take labels off; yield how it went with each, in order, however many they are.
 
@@ -105,28 +139,28 @@ class Files:
         Raises:
             InvalidInput: a label is not usable.
         """
-        ids = [*file_ids]
+        ids = [self.id_of(each) for each in file_ids]
         for start in range(0, len(ids), MAX_LABELLED):
             some = ids[start : start + MAX_LABELLED]
             body = checked(LabelChange, "The labels", file_ids=some, add=[*add], remove=[*remove])
             yield from self._api.repeat("/files/labels", FilesLabelled, body).items
 
-    def delete(self, file_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+    def delete(self, file_id: Ref, *, dry_run: bool = False) -> Deleted:
         """Move a file to the trash; with `dry_run`, only say what would go."""
-        answer = self._api.delete(f"/files/{file_id}", query_of(None, dry_run=dry_run or None))
+        answer = self._api.delete(f"/files/{self.id_of(file_id)}", query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, "DELETE file", answer)
 
-    def prove(self, file_id: uuid.UUID) -> FileRead:
+    def prove(self, file_id: Ref) -> FileRead:
         """Have the server read the file's bytes again; `state` and `proven_at` tell when it has."""
-        return self._api.understood(FileRead, "prove", self._api.post_empty(f"/files/{file_id}/prove"))
+        return self._api.understood(FileRead, "prove", self._api.post_empty(f"/files/{self.id_of(file_id)}/prove"))
 
-    def links(self, file_ids: Sequence[uuid.UUID]) -> DownloadLinks:
+    def links(self, file_ids: Sequence[Ref]) -> DownloadLinks:
         """Return where to read the bytes of up to 500 files, in the order asked.
 
         Raises:
             FileUnavailable: the store's copy of one is lost or corrupt.
         """
-        body = DownloadRequest(file_ids=[*file_ids])
+        body = checked(DownloadRequest, "The files", file_ids=[self.id_of(each) for each in file_ids])
         return self._api.repeat("/files/download", DownloadLinks, body)
 
 

@@ -2,10 +2,9 @@
 
 import datetime
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
 from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
@@ -18,7 +17,7 @@ class Groups:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(self, *, name: str | None = None, limit: int | None = None) -> Iterator[GroupRead]:
+    def list(self, *, name: str | None = None, limit: int | None = None) -> Listing[GroupRead]:
         """Yield the groups that one is in, by name; admins see all. `name` may be a glob."""
         return pages(self._api, "/groups", GroupRead, query_of(None, name=name), limit=limit)
 
@@ -65,7 +64,7 @@ class Groups:
         """
         self._api.delete(f"/groups/{group_id}")
 
-    def members(self, group_id: uuid.UUID) -> Iterator[MemberRead]:
+    def members(self, group_id: uuid.UUID) -> Listing[MemberRead]:
         """Yield the people in a group, by name; addresses and past members are for its editors."""
         return pages(self._api, f"/groups/{group_id}/members", MemberRead, [])
 

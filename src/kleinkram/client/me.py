@@ -1,12 +1,11 @@
 """Oneself, as the server knows one: for programs that want to say who they work for, or to sign out."""
 
 import uuid
-from collections.abc import Iterator
 
 from pydantic import RootModel
 
 from kleinkram.client._http import Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.contract.accounts import AccountRead, IdentityRead, OneTimeLink
 from kleinkram.contract.signing_in import MeRead, SessionRead
 
@@ -54,7 +53,7 @@ class Me:
         """
         self._api.delete(f"/tokens/{self.get().credential.id}", [("made", "kept")])
 
-    def sessions(self) -> Iterator[SessionRead]:
+    def sessions(self) -> Listing[SessionRead]:
         """Yield the browsers that one is signed in with."""
         return pages(self._api, "/me/sessions", SessionRead, [])
 

@@ -3,15 +3,18 @@
 import uuid
 from collections.abc import Iterator
 
+from typing_extensions import Unpack
+
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
+from kleinkram.client.errors import InvalidInput
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import the_one
+from kleinkram.client.references import Ref, known_id, the_one
+from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
-from kleinkram.contract.names import is_id
 from kleinkram.contract.timelines import MissionTimeline, TimelineFile
 from kleinkram.contract.topics import MAX_MISSION_TOPICS, MissionTopics
 from kleinkram.contract.trash import Deleted
@@ -30,35 +33,52 @@ class Missions:
         query: str | None = None,
         sort: MissionSort | None = None,
         limit: int | None = None,
-    ) -> Iterator[MissionRead]:
+        **fields: Unpack[MissionFields],
+    ) -> Listing[MissionRead]:
         """Yield the missions that match, by name unless `sort` says otherwise.
 
+        Say which by keywords, as in `list(project="alpine", topic="*imu*")` (those of `MissionFields`), or by a filter.
         With the text of a `query`, those that it finds: by what they say themselves, or by their files.
 
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        asked = query_of(matching, query=query, sort=sort.value if sort else None)
+        asked = query_of(as_mission_filter(matching, fields), query=query, sort=sort.value if sort else None)
         return pages(self._api, "/missions", MissionRead, asked, limit=limit)
 
-    def count(self, matching: MissionFilter | None = None, *, query: str | None = None) -> int:
+    def count(
+        self, matching: MissionFilter | None = None, *, query: str | None = None, **fields: Unpack[MissionFields]
+    ) -> int:
         """Return how many missions match, and are found by the `query`."""
-        return count(self._api, "/missions", MissionRead, query_of(matching, query=query))
+        return count(self._api, "/missions", MissionRead, query_of(as_mission_filter(matching, fields), query=query))
 
-    def get(self, ref: str | uuid.UUID, *, project: str | uuid.UUID | None = None) -> MissionRead:
+    def get(self, ref: Ref, *, project: Ref | None = None) -> MissionRead:
         """Return the mission with this id, or with this name (in that project, where one is given).
+
+        `"PROJECT/MISSION"` names both. Wherever a mission is meant, any of these will do, or the mission itself.
 
         Raises:
             NotFound: there is none, or no such project.
             AmbiguousName: several projects have one of that name.
         """
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return self._api.get(f"/missions/{ref}", MissionRead)
+        if (mission_id := known_id(ref, "mission")) is not None:
+            return self._api.get(f"/missions/{mission_id}", MissionRead)
+        name = str(ref)
+        if project is None and "/" in name:
+            project, _, name = name.partition("/")
         within = MissionFilter() if project is None else self.within(project)
-        rows = self.list(within.model_copy(update={"name": ref}))
-        return the_one("mission", ref, rows, name=lambda row: row.name, label=mission_label)
+        rows = self.list(within.model_copy(update={"name": name}))
+        return the_one("mission", name, rows, name=lambda row: row.name, label=mission_label)
 
-    def within(self, project: str | uuid.UUID) -> MissionFilter:
+    def id_of(self, ref: Ref, *, project: Ref | None = None) -> uuid.UUID:
+        """Return the id of a mission that is named; one that is known is not asked for.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        return known_id(ref, "mission") or self.get(ref, project=project).id
+
+    def within(self, project: Ref) -> MissionFilter:
         """Return the filter on the missions of a project, by its id or name.
 
         Who has rights on missions alone sees no project, but its name beside them; they may say that name, too.
@@ -70,28 +90,30 @@ class Missions:
         try:
             return MissionFilter(project_id=Projects(self._api).get(project).id)
         except NotFound:
-            is_name = isinstance(project, str) and not is_id(project)
-            matching = MissionFilter(**{"project" if is_name else "project_id": project})
+            project_id = known_id(project, "project")
+            matching = MissionFilter(project_id=project_id) if project_id else MissionFilter(project=str(project))
             if not any(self.list(matching, limit=1)):
                 raise
             return matching
 
-    def timeline(self, mission_id: uuid.UUID) -> Iterator[TimelineFile]:
+    def timeline(self, mission_id: Ref) -> Iterator[TimelineFile]:
         """Yield when each file of a mission was recorded, by path: few bytes a file, ten thousand files a request."""
         cursor: str | None = None
         while True:
-            page = self._api.get(f"/missions/{mission_id}/timeline", MissionTimeline, query_of(None, cursor=cursor))
+            page = self._api.get(
+                f"/missions/{self.id_of(mission_id)}/timeline", MissionTimeline, query_of(None, cursor=cursor)
+            )
             yield from page.items
             cursor = page.next
             if cursor is None:
                 return
 
-    def topics(self, mission_id: uuid.UUID, *, bins: int = 256) -> MissionTopics:
+    def topics(self, mission_id: Ref, *, bins: int = 256) -> MissionTopics:
         """Return the topics of all recordings of a mission, by name and type, with their messages in few bins.
 
         `bins` is at most 512; 0 leaves them out.
         """
-        path, query = f"/missions/{mission_id}/topics", query_of(None, bins=bins, limit=MAX_MISSION_TOPICS)
+        path, query = f"/missions/{self.id_of(mission_id)}/topics", query_of(None, bins=bins, limit=MAX_MISSION_TOPICS)
         whole = self._api.get(path, MissionTopics, query)
         cursor, items = whole.next, [*whole.items]
         while cursor is not None:
@@ -103,7 +125,8 @@ class Missions:
         self,
         name: str,
         *,
-        project_id: uuid.UUID,
+        project_id: Ref | None = None,
+        project: Ref | None = None,
         metadata_yaml: str | None = None,
         metadata: Metadata | None = None,
         notes: str = "",
@@ -120,10 +143,13 @@ class Missions:
         """
         given = {"metadata_yaml": metadata_yaml, "metadata": metadata}
         body = checked(MissionCreate, "The mission", name=name, notes=notes, **given)
-        return self._api.send("POST", f"/projects/{project_id}/missions", MissionRead, body)
+        where = project if project is not None else project_id
+        if where is None:
+            raise InvalidInput(what="The mission", reason="say in which project, by project=")
+        return self._api.send("POST", f"/projects/{Projects(self._api).id_of(where)}/missions", MissionRead, body)
 
     def update(
-        self, mission_id: uuid.UUID, *, if_edition: str | None = None, **changes: str | bool | uuid.UUID | Metadata
+        self, mission_id: Ref, *, if_edition: str | None = None, **changes: str | bool | uuid.UUID | Metadata
     ) -> MissionRead:
         """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
 
@@ -135,15 +161,15 @@ class Missions:
             EditedMeanwhile: it is of another edition by now.
         """
         body = checked(MissionUpdate, "The mission", **changes)
-        return self._api.patch(f"/missions/{mission_id}", MissionRead, body, edition=if_edition)
+        return self._api.patch(f"/missions/{self.id_of(mission_id)}", MissionRead, body, edition=if_edition)
 
-    def complete(self, mission_id: uuid.UUID) -> MissionRead:
+    def complete(self, mission_id: Ref) -> MissionRead:
         """Say that all of the mission is uploaded."""
         return self.update(mission_id, completed=True)
 
-    def delete(self, mission_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+    def delete(self, mission_id: Ref, *, dry_run: bool = False) -> Deleted:
         """Move a mission and its files to the trash; with `dry_run`, only say what would go."""
-        answer = self._api.delete(f"/missions/{mission_id}", query_of(None, dry_run=dry_run or None))
+        answer = self._api.delete(f"/missions/{self.id_of(mission_id)}", query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, "DELETE mission", answer)
 
 

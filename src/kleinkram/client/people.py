@@ -1,10 +1,9 @@
 """People, for programs: those one may know of."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
 from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
@@ -20,7 +19,7 @@ class People:
 
     def list(
         self, *, text: str | None = None, active: bool | None = None, limit: int | None = None
-    ) -> Iterator[PersonRead]:
+    ) -> Listing[PersonRead]:
         """Yield the people one may know of, by name; `text` is found in names, and in addresses that one may know."""
         return pages(self._api, "/people", PersonRead, query_of(None, text=text, active=active), limit=limit)
 

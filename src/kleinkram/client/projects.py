@@ -1,15 +1,13 @@
 """Projects, for programs."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
 from kleinkram.client.checking import checked
-from kleinkram.client.references import the_one
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.missions import MissionTemplate
-from kleinkram.contract.names import is_id
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 
@@ -27,7 +25,7 @@ class Projects:
         text: str | None = None,
         sort: ProjectSort | None = None,
         limit: int | None = None,
-    ) -> Iterator[ProjectRead]:
+    ) -> Listing[ProjectRead]:
         """Yield projects, by name unless `sort` says otherwise; `name` may be a glob, `text` is found anywhere."""
         query = query_of(None, name=name, text=text, sort=sort.value if sort else None)
         return pages(self._api, "/projects", ProjectRead, query, limit=limit)
@@ -36,16 +34,24 @@ class Projects:
         """Return how many projects there are."""
         return count(self._api, "/projects", ProjectRead, query_of(None, name=name, text=text))
 
-    def get(self, ref: str | uuid.UUID) -> ProjectRead:
-        """Return the project with this id or name.
+    def get(self, ref: Ref) -> ProjectRead:
+        """Return the project with this id or name. Wherever a project is meant, either will do, or the project itself.
 
         Raises:
             NotFound: there is none.
             AmbiguousName: a glob matches several.
         """
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return self._api.get(f"/projects/{ref}", ProjectRead)
-        return the_one("project", ref, self.list(name=ref), name=lambda row: row.name, label=project_label)
+        if (project_id := known_id(ref, "project")) is not None:
+            return self._api.get(f"/projects/{project_id}", ProjectRead)
+        return the_one("project", str(ref), self.list(name=str(ref)), name=lambda row: row.name, label=project_label)
+
+    def id_of(self, ref: Ref) -> uuid.UUID:
+        """Return the id of a project that is named; one that is known is not asked for.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        return known_id(ref, "project") or self.get(ref).id
 
     def create(
         self,
@@ -69,7 +75,7 @@ class Projects:
 
     def update(
         self,
-        project_id: uuid.UUID,
+        project_id: Ref,
         *,
         if_edition: str | None = None,
         **changes: str | bool | int | MetadataFields | None,
@@ -84,16 +90,16 @@ class Projects:
             EditedMeanwhile: it is of another edition by now.
         """
         body = checked(ProjectUpdate, "The project", **changes)
-        return self._api.patch(f"/projects/{project_id}", ProjectRead, body, edition=if_edition)
+        return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, edition=if_edition)
 
-    def delete(self, project_id: uuid.UUID, *, dry_run: bool = False) -> Deleted:
+    def delete(self, project_id: Ref, *, dry_run: bool = False) -> Deleted:
         """Move a project and all in it to the trash; with `dry_run`, only say what would go."""
-        answer = self._api.delete(f"/projects/{project_id}", query_of(None, dry_run=dry_run or None))
+        answer = self._api.delete(f"/projects/{self.id_of(project_id)}", query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, "DELETE project", answer)
 
-    def template(self, project_id: uuid.UUID) -> MissionTemplate:
+    def template(self, project_id: Ref) -> MissionTemplate:
         """Return what to fill in for the next mission, as YAML or as a form, prefilled from the last one."""
-        return self._api.get(f"/projects/{project_id}/template", MissionTemplate)
+        return self._api.get(f"/projects/{self.id_of(project_id)}/template", MissionTemplate)
 
 
 def project_label(project: ProjectRead) -> str:

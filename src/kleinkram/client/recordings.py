@@ -1,14 +1,15 @@
 """Recordings, for programs: logical captures made of one or more files, listed, and read where they are."""
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kleinkram.client._http import Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
+from kleinkram.client.errors import InvalidInput
 from kleinkram.client.files import Files
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import the_one
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead, RecordingRead
 from kleinkram.contract.names import is_id
@@ -25,8 +26,9 @@ class Recordings:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(self, mission_id: uuid.UUID) -> Iterator[RecordingRead]:
+    def list(self, mission: Ref, *, project: Ref | None = None) -> Listing[RecordingRead]:
         """Yield the recordings of a mission."""
+        mission_id = Missions(self._api).id_of(mission, project=project)
         return pages(self._api, f"/missions/{mission_id}/recordings", RecordingRead, [])
 
     def get(self, recording_id: str | uuid.UUID) -> RecordingRead:
@@ -35,14 +37,16 @@ class Recordings:
         Raises:
             NotFound: there is none with this id.
         """
-        return self._api.get(f"/recordings/{recording_id}", RecordingRead)
+        if (found := known_id(recording_id, "recording")) is None:
+            raise InvalidInput(what=f"The recording {recording_id!r}", reason="give its id; `open` takes names")
+        return self._api.get(f"/recordings/{found}", RecordingRead)
 
     def open(
         self,
         what: RecordingRead | FileRead | str | uuid.UUID,
         *,
-        mission: str | uuid.UUID | None = None,
-        project: str | uuid.UUID | None = None,
+        mission: Ref | None = None,
+        project: Ref | None = None,
         most_bytes: int | None = None,
     ) -> "Recording":
         """Open a recording on the server for reading, as `recordings.reading.Recording.open` does a local one.
@@ -77,8 +81,8 @@ class Recordings:
     def _find(
         self,
         what: RecordingRead | FileRead | str | uuid.UUID,
-        mission: str | uuid.UUID | None,
-        project: str | uuid.UUID | None,
+        mission: Ref | None,
+        project: Ref | None,
     ) -> RecordingRead | FileRead:
         if isinstance(what, RecordingRead | FileRead):
             return what

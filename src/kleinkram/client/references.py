@@ -1,14 +1,42 @@
 """From what a person calls a noun (its id, its name, a glob) to the one noun meant."""
 
+import uuid
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.errors import AmbiguousName, NotFound
-from kleinkram.contract.names import name_key
+from kleinkram.contract.names import is_id, name_key
 
 T = TypeVar("T")
 
 _SHOWN_CANDIDATES = 20
+
+
+class HasId(Protocol):
+    """A noun as a list or `get` returned it."""
+
+    @property
+    def id(self) -> uuid.UUID:
+        """Its id."""
+
+
+Ref = str | uuid.UUID | HasId
+"""What stands for a noun: its name, its id (a UUID or text), or the noun itself."""
+
+
+def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
+    """Return the id that a reference is or has; None for a name.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    if isinstance(ref, str):
+        return uuid.UUID(ref) if is_id(ref) else None
+    found = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
+    if not isinstance(found, uuid.UUID):
+        raise InvalidInput(what=f"The {noun} {ref!r}", reason="give its name, its id, or what a list returned")
+    return found
 
 
 def is_glob(ref: str) -> bool:

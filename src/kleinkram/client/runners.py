@@ -5,10 +5,10 @@ for a run: what the server gave in an answer that never came, it takes back once
 """
 
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.runners import (
     ArtifactsBegin,
@@ -46,7 +46,7 @@ class Runners:
         """Return the same with other patience."""
         return Runners(self._api, patience_s=patience_s, wait=wait)
 
-    def list(self) -> Iterator[RunnerRead]:
+    def list(self) -> Listing[RunnerRead]:
         """Yield all runners."""
         return pages(self._api, "/runners", RunnerRead, [])
 

@@ -2,17 +2,23 @@
 
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar, cast
+
+from typing_extensions import TypedDict, Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import count, pages
+from kleinkram.client._paging import Listing, count, pages
+from kleinkram.client.actions import Actions
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput, TimedOut
+from kleinkram.client.missions import Missions
+from kleinkram.client.projects import Projects
+from kleinkram.client.references import Ref, known_id
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
-from kleinkram.contract.names import is_id
+from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import (
     MAX_LAUNCHED,
     ArtifactRead,
@@ -45,6 +51,30 @@ _FIRST_LOOK_S = 0.1
 _LOOK_EVERY_S = 1.0
 
 
+class RunFields(TypedDict, total=False):
+    """The keywords that say which runs: `RunFilter`'s, with places by name, id, or as they are; one or several."""
+
+    project: Ref | Sequence[Ref]
+    mission: Ref | Sequence[Ref]
+    action: str
+    state: RunState | str | Sequence[RunState | str]
+    active: bool
+    mine: bool
+
+
+class SayingFields(TypedDict, total=False):
+    """The keywords that say which findings or metrics: `SayingFilter`'s, with places as in `RunFields`."""
+
+    run: Ref
+    project: Ref | Sequence[Ref]
+    mission: Ref | Sequence[Ref]
+    code: str
+    severity: Severity | str | Sequence[Severity | str]
+
+
+FilterKind = TypeVar("FilterKind", RunFilter, SayingFilter)
+
+
 class Runs:
     """`client.runs`."""
 
@@ -53,8 +83,8 @@ class Runs:
 
     def launch(
         self,
-        action: uuid.UUID | ActionDefinition,
-        mission_ids: Iterable[uuid.UUID],
+        action: Ref | ActionDefinition,
+        mission_ids: Iterable[Ref],
         *,
         version: int | None = None,
         parameters: ParameterValues | None = None,
@@ -72,37 +102,40 @@ class Runs:
             NotFound: there is no such action, or no such version of it.
         """
         what = "definition" if isinstance(action, ActionDefinition) else "action_id"
+        if not isinstance(action, ActionDefinition):
+            action = known_id(action, "action") or Actions(self._api).get(action).id
         said: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
         if version is not None:
             said["version"] = version
-        ids, outcomes = [*mission_ids], []
+        missions = Missions(self._api)
+        ids, outcomes = [missions.id_of(each) for each in mission_ids], []
         for start in range(0, len(ids), MAX_LAUNCHED):
             body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **said)
             outcomes += self._api.send("POST", "/runs", RunsMade, body).items
         return outcomes
 
-    def list(self, matching: RunFilter | None = None, *, limit: int | None = None) -> Iterator[RunRead]:
-        """Yield the runs that match, latest first."""
-        return pages(self._api, "/runs", RunRead, query_of(matching), limit=limit)
+    def list(
+        self, matching: RunFilter | None = None, *, limit: int | None = None, **fields: Unpack[RunFields]
+    ) -> Listing[RunRead]:
+        """Yield the runs that match, latest first: `list(project="alpine", state="failed")`, or by a filter."""
+        return pages(self._api, "/runs", RunRead, query_of(self._filter(RunFilter, matching, fields)), limit=limit)
 
-    def count(self, matching: RunFilter | None = None) -> int:
+    def count(self, matching: RunFilter | None = None, **fields: Unpack[RunFields]) -> int:
         """Return how many runs match."""
-        return count(self._api, "/runs", RunRead, query_of(matching))
+        return count(self._api, "/runs", RunRead, query_of(self._filter(RunFilter, matching, fields)))
 
-    def get(self, run_id: str | uuid.UUID) -> RunDetail:
+    def get(self, run_id: Ref) -> RunDetail:
         """Return a run with its definition, previews, proposed metadata and what it used.
 
         Raises:
             NotFound: there is none with this id.
             InvalidInput: it is no id.
         """
-        if isinstance(run_id, str) and not is_id(run_id):
-            raise InvalidInput(what=f"The run {run_id!r}", reason="say its id; `klein run list` shows them")
-        return self._api.get(f"/runs/{run_id}", RunDetail)
+        return self._api.get(f"/runs/{_run_id(run_id)}", RunDetail)
 
     def wait(
         self,
-        run_id: uuid.UUID,
+        run_id: Ref,
         *,
         timeout_s: float | None = None,
         seen: Callable[[RunDetail], None] | None = None,
@@ -124,33 +157,33 @@ class Runs:
             time.sleep(pause_s)
             pause_s = min(pause_s * 1.5, _LOOK_EVERY_S)
 
-    def cancel(self, run_id: uuid.UUID) -> RunRead:
+    def cancel(self, run_id: Ref) -> RunRead:
         """Have a run ended, and return it: its runner does so within seconds. Nothing happens to one that is over."""
-        return self._api.understood(RunRead, "cancel", self._api.post_empty(f"/runs/{run_id}/cancel"))
+        return self._api.understood(RunRead, "cancel", self._api.post_empty(f"/runs/{_run_id(run_id)}/cancel"))
 
-    def retry(self, run_id: uuid.UUID, *, force: bool = False) -> RunRead:
+    def retry(self, run_id: Ref, *, force: bool = False) -> RunRead:
         """Make a new run of the same version with the same parameters on the same mission, and return it.
 
         It reads the files that match now. With `force`, it takes over no results of an earlier one.
         """
-        return self._api.send("POST", f"/runs/{run_id}/retry?force={str(force).lower()}", RunRead)
+        return self._api.send("POST", f"/runs/{_run_id(run_id)}/retry?force={str(force).lower()}", RunRead)
 
-    def inputs(self, run_id: uuid.UUID) -> Iterator[RunInput]:
+    def inputs(self, run_id: Ref) -> Listing[RunInput]:
         """Yield the files that a run was given, by path."""
-        return pages(self._api, f"/runs/{run_id}/inputs", RunInput, [])
+        return pages(self._api, f"/runs/{_run_id(run_id)}/inputs", RunInput, [])
 
-    def artifacts(self, run_id: uuid.UUID) -> Iterator[ArtifactRead]:
+    def artifacts(self, run_id: Ref) -> Listing[ArtifactRead]:
         """Yield the files that a run left, by path; of one that took over results, those of the earlier one."""
-        return pages(self._api, f"/runs/{run_id}/artifacts", ArtifactRead, [])
+        return pages(self._api, f"/runs/{_run_id(run_id)}/artifacts", ArtifactRead, [])
 
-    def artifact_urls(self, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
+    def artifact_urls(self, run_id: Ref, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
         """Return where to read the bytes of up to 500 artifacts of a run, in the order asked."""
-        body = ArtifactsRequest(artifact_ids=[*artifact_ids])
-        return self._api.repeat(f"/runs/{run_id}/artifacts/download", ArtifactUrls, body).items
+        body = checked(ArtifactsRequest, "The request", artifact_ids=[*artifact_ids])
+        return self._api.repeat(f"/runs/{_run_id(run_id)}/artifacts/download", ArtifactUrls, body).items
 
     def download_artifacts(
         self,
-        run_id: uuid.UUID,
+        run_id: Ref,
         dest: Path,
         *,
         artifacts: Iterable[ArtifactRead] | None = None,
@@ -175,15 +208,23 @@ class Runs:
 
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
-    def findings(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[FindingRead]:
+    def findings(
+        self, matching: SayingFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+    ) -> Listing[FindingRead]:
         """Yield what runs have noticed."""
-        return pages(self._api, "/findings", FindingRead, query_of(matching), limit=limit)
+        return pages(
+            self._api, "/findings", FindingRead, query_of(self._filter(SayingFilter, matching, fields)), limit=limit
+        )
 
-    def metrics(self, matching: SayingFilter | None = None, *, limit: int | None = None) -> Iterator[MetricRead]:
+    def metrics(
+        self, matching: SayingFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+    ) -> Listing[MetricRead]:
         """Yield the numbers that runs have found; the filter's `code` is a metric's name."""
-        return pages(self._api, "/run-metrics", MetricRead, query_of(matching), limit=limit)
+        return pages(
+            self._api, "/run-metrics", MetricRead, query_of(self._filter(SayingFilter, matching, fields)), limit=limit
+        )
 
-    def log(self, run_id: uuid.UUID, *, follow: bool = False) -> Iterator[LogPiece]:
+    def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[LogPiece]:
         """Yield what a run has written, from the beginning, in pieces of whole lines; with `follow`, until it is over.
 
         Where a lost runner made it begin anew, the pieces of the next attempt follow, and `attempt` says so.
@@ -192,7 +233,7 @@ class Runs:
         while True:
             asked_at = time.monotonic()
             query = query_of(None, offset=offset, wait_s=wait_s)
-            piece = self._api.get(f"/runs/{run_id}/log", LogPiece, query)
+            piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogPiece, query)
             begins_anew = piece.attempt != attempt and offset > 0
             attempt, offset = piece.attempt, 0 if begins_anew else piece.next_offset
             if begins_anew:
@@ -204,6 +245,37 @@ class Runs:
             wait_s = _LOG_WAIT_S if follow else 0.0
             if not piece.text and time.monotonic() - asked_at < _LOG_PAUSE_S:
                 time.sleep(_LOG_PAUSE_S)
+
+    def _filter(
+        self, kind: type[FilterKind], matching: FilterKind | None, fields: Mapping[str, object]
+    ) -> FilterKind | None:
+        """Return the filter that keywords and a filter say together.
+
+        Raises:
+            InvalidInput: a keyword is unknown, or its value is not usable.
+            NotFound: there is no such project or mission.
+        """
+        if not fields:
+            return matching
+        given = dict(fields)
+        nouns = {"project": Projects(self._api).id_of, "mission": Missions(self._api).id_of}
+        for noun, id_of in nouns.items():
+            if (value := given.pop(noun, None)) is not None:
+                refs = value if isinstance(value, list | tuple | set | frozenset) else [value]
+                given[f"{noun}_ids"] = [id_of(cast(Ref, ref)) for ref in refs]
+        if (run := given.pop("run", None)) is not None:
+            given["run_id"] = known_id(cast(Ref, run), "run") or run
+        for name in ("state", "severity"):
+            if isinstance(given.get(name), str):
+                given[name] = [given[name]]
+        said = matching.model_dump(exclude_defaults=True) if matching else {}
+        return checked(kind, "The filter", **said, **given)
+
+
+def _run_id(ref: Ref) -> uuid.UUID:
+    if (run_id := known_id(ref, "run")) is None:
+        raise InvalidInput(what=f"The run {ref!r}", reason="say its id; `klein run list` shows them")
+    return run_id
 
 
 def _as_link(artifact: ArtifactUrl) -> DownloadLink:

@@ -1,9 +1,21 @@
 """One search over missions, files and topics, for programs. A query is a text; see the page on searching."""
 
+import enum
+import uuid
+from collections.abc import Mapping, Sequence
+from typing import cast
+
+from typing_extensions import TypedDict
+
 from kleinkram.client._http import Api, query_of
+from kleinkram.client.checking import Time, as_datetime, checked
+from kleinkram.client.errors import InvalidInput
+from kleinkram.client.references import Ref, known_id
+from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
-from kleinkram.contract.query import parse
-from kleinkram.contract.searching import FacetsRead, SearchRead
+from kleinkram.contract.missions import MissionFilter
+from kleinkram.contract.query import parse, whole
+from kleinkram.contract.searching import FacetsRead, FileQuery, SearchRead
 
 # What lists of files take: a filter, the text of a query, or None for everything.
 Wanted = FileFilter | str | None
@@ -35,10 +47,115 @@ class Search:
         return self._api.get("/search/facets", FacetsRead, query_of(None, query=query))
 
 
-def as_filter(wanted: Wanted) -> FileFilter | None:
-    """Return the filter that is wanted, read from the text of a query where it is one.
+class MissionFields(TypedDict, total=False):
+    """The keywords that say which missions: `MissionFilter`'s, of which one or several may be said."""
+
+    text: str
+    project: Ref | Sequence[Ref]
+    name: str | Sequence[str]
+    where: str | Sequence[str]
+    topic: str | Sequence[str]
+    message_type: str | Sequence[str]
+    recorded_after: Time
+    recorded_before: Time
+    completed: bool
+    satisfied: bool
+
+
+class FileFields(TypedDict, total=False):
+    """The keywords that say which files: `FileFilter`'s, of which one or several may be said.
+
+    `project` and `mission` are a name, a glob, an id, the noun itself, or several. Sizes are bytes, or text like "1GB".
+    """
+
+    text: str
+    project: Ref | Sequence[Ref]
+    mission: Ref | Sequence[Ref]
+    recording_id: uuid.UUID
+    path: str | Sequence[str]
+    where: str | Sequence[str]
+    topic: str | Sequence[str]
+    message_type: str | Sequence[str]
+    format: str | Sequence[str]
+    label: str | Sequence[str]
+    state: str | Sequence[str]
+    content: str | Sequence[str]
+    month: str | Sequence[str]
+    without: str | Sequence[str]
+    recorded_after: Time
+    recorded_before: Time
+    min_size_bytes: int | str
+    max_size_bytes: int | str
+    min_duration_ns: int
+    max_duration_ns: int
+
+
+_NO_FIELDS: FileFields = {}
+_SAID_ONCE = frozenset({"text", "recording_id", "completed", "satisfied", "min_duration_ns", "max_duration_ns"})
+
+
+def as_filter(wanted: Wanted, fields: FileFields = _NO_FIELDS) -> FileFilter | None:
+    """Return the filter that is wanted: of the text of a query, of keywords, of both, or as it is.
 
     Raises:
         InvalidQuery: the query cannot be read.
+        InvalidInput: a keyword is unknown, or its value is not usable.
     """
-    return parse(wanted) if isinstance(wanted, str) else wanted
+    if not (wanted is None or isinstance(wanted, str | FileFilter)):
+        raise InvalidInput(what=f"The filter {wanted!r}", reason="give the text of a query, keywords, or a FileFilter")
+    if not fields:
+        return parse(wanted) if isinstance(wanted, str) else wanted
+    given = _read_fields(fields)
+    if isinstance(wanted, FileFilter):
+        given = {**wanted.model_dump(exclude_defaults=True), **given}
+    query = {"query": wanted} if isinstance(wanted, str) else {}
+    return whole(checked(FileQuery, "The filter", **given, **query))
+
+
+def as_mission_filter(wanted: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
+    """Return the filter of missions that keywords and a filter say together.
+
+    Raises:
+        InvalidInput: a keyword is unknown, or its value is not usable.
+    """
+    if not (wanted is None or isinstance(wanted, MissionFilter)):
+        raise InvalidInput(what=f"The filter {wanted!r}", reason="give keywords, or a MissionFilter")
+    if not fields:
+        return wanted
+    given = _read_fields(fields)
+    if isinstance(names := given.get("name"), list):
+        given = {**{key: value for key, value in given.items() if key != "name"}, "missions": names}
+    return checked(MissionFilter, "The filter", **(wanted.model_dump(exclude_defaults=True) if wanted else {}), **given)
+
+
+def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
+    given: dict[str, object] = {}
+    for name, value in fields.items():
+        if value is None:
+            continue
+        if name in {"project", "mission"}:
+            given |= _place(name, value)
+        elif name in {"recorded_after", "recorded_before"}:
+            given[name] = as_datetime(name, value)
+        elif name.endswith("_size_bytes") and isinstance(value, str):
+            given[name] = _size(name, value)
+        elif name in _SAID_ONCE or name.endswith("_bytes") or name == "name":
+            given[name] = value
+        else:
+            given[name] = [value] if isinstance(value, str | enum.Enum) else value
+    return given
+
+
+def _place(noun: str, value: object) -> dict[str, object]:
+    several = value if isinstance(value, list | tuple | set | frozenset) else [value]
+    refs = [known_id(cast(Ref, ref), noun) or str(ref) for ref in several]
+    if len(refs) == 1:
+        return {f"{noun}_id" if isinstance(refs[0], uuid.UUID) else noun: refs[0]}
+    return {f"{noun}s": [str(ref) for ref in refs]}
+
+
+def _size(name: str, text: str) -> int:
+    try:
+        return int(read_size(text))
+    except ValueError as error:
+        raise InvalidInput(what=f"The filter ({name})", reason=str(error)) from None

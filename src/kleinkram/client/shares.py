@@ -3,10 +3,10 @@
 import builtins
 import datetime
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
 from kleinkram.contract.names import is_id
@@ -42,7 +42,7 @@ class Shares:
 
     def list(
         self, *, mission_id: uuid.UUID | None = None, ended: bool = False, limit: int | None = None
-    ) -> Iterator[ShareRead]:
+    ) -> Listing[ShareRead]:
         """Yield the links that one may revoke, latest first; with `ended` those that are over, too."""
         query = query_of(None, mission_id=mission_id, ended=ended or None)
         return pages(self._api, "/shares", ShareRead, query, limit=limit)

@@ -3,11 +3,11 @@
 import builtins
 import datetime
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.references import the_one
 from kleinkram.contract.names import is_id
@@ -56,7 +56,7 @@ class Tokens:
             given |= {"project_ids": [*reach.project_ids], "mission_ids": [*reach.mission_ids]}
         return self._api.send("POST", "/tokens", TokenMade, checked(TokenCreate, "The token", **given))
 
-    def list(self, *, everybody: bool = False, ended: bool = False, limit: int | None = None) -> Iterator[TokenRead]:
+    def list(self, *, everybody: bool = False, ended: bool = False, limit: int | None = None) -> Listing[TokenRead]:
         """Yield one's tokens, latest first; with `ended` those that are over, too. `everybody` is for admins."""
         query = query_of(None, everybody=everybody or None, ended=ended or None)
         return pages(self._api, "/tokens", TokenRead, query, limit=limit)

@@ -1,10 +1,9 @@
 """The trash, for programs."""
 
 import uuid
-from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.client.references import the_one
 from kleinkram.contract.names import is_id
 from kleinkram.contract.trash import TrashNoun, TrashRead
@@ -16,7 +15,7 @@ class Trash:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def list(self, noun: TrashNoun | None = None) -> Iterator[TrashRead]:
+    def list(self, noun: TrashNoun | None = None) -> Listing[TrashRead]:
         """Yield what lies in the trash, latest first."""
         return pages(self._api, "/trash", TrashRead, query_of(None, noun=noun.value if noun else None))
 

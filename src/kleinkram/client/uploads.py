@@ -5,10 +5,10 @@
 
 import datetime
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import pages
+from kleinkram.client._paging import Listing, pages
 from kleinkram.contract.uploads import (
     PartsSign,
     PartToSign,
@@ -41,7 +41,7 @@ class Uploads:
         """Return what time it is at the server, by which addresses end."""
         return self._api.now()
 
-    def list(self, mission_id: uuid.UUID) -> Iterator[UploadRead]:
+    def list(self, mission_id: uuid.UUID) -> Listing[UploadRead]:
         """Yield the uploads into a mission that are under way."""
         return pages(self._api, f"/missions/{mission_id}/uploads", UploadRead, [])
 

@@ -6,7 +6,7 @@ import uuid
 from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.names import Term
+from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
 
 
@@ -51,7 +51,8 @@ class AuditFilter(BaseModel):
     """Which events are wanted: those that satisfy all that is given.
 
     `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` is not; a time
-    without zone is UTC. `project_id` and `mission_id`: whatever happened in them, at the time it happened.
+    without zone is UTC. `project_id` and `mission_id`: whatever happened in them, at the time it happened; with
+    `project_ids` and `mission_ids`, in any of several.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -64,7 +65,9 @@ class AuditFilter(BaseModel):
     noun: Term | None = None
     noun_id: uuid.UUID | None = None
     project_id: uuid.UUID | None = None
+    project_ids: Ids = []
     mission_id: uuid.UUID | None = None
+    mission_ids: Ids = []
     operation: Term | None = None
     since: datetime.datetime | None = None
     until: datetime.datetime | None = None

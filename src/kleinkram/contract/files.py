@@ -203,8 +203,9 @@ class FileFilter(BaseModel):
 
     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
-    Quotes in `text` make several words one. `month` is the one in which the recording began, UTC. `without` are terms
-    of the query language (see the page on searching) of which none may hold.
+    Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
+    may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
+    UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -212,8 +213,10 @@ class FileFilter(BaseModel):
     text: Term | None = None
     project: Term | None = None
     project_id: uuid.UUID | None = None
+    projects: Terms = []
     mission: Term | None = None
     mission_id: uuid.UUID | None = None
+    missions: Terms = []
     recording_id: uuid.UUID | None = None
     path: Terms = []
     where: Terms = []

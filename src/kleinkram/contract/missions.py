@@ -56,7 +56,8 @@ class MissionCreate(_SaidOnce):
 class MissionUpdate(_SaidOnce):
     """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
 
-    `metadata_yaml` is all metadata anew. `metadata` changes the fields that it names, null takes one away, and the
+    `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
+    value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
     document that said all is dropped.
     """
 
@@ -64,6 +65,7 @@ class MissionUpdate(_SaidOnce):
 
     name: Name | None = None
     project_id: uuid.UUID | None = None
+    merge_yaml: bool = False
     notes: Notes | None = None
     completed: bool | None = None
 
@@ -138,7 +140,8 @@ class MissionFilter(BaseModel):
     """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
 
     `where` are comparisons with metadata: `robot=anymal`, `temperature>20`, `operator!=ada`, `site~zur*`.
-    `text` is found in names, notes and metadata values.
+    `text` is found in names, notes and metadata values. `projects` and `missions` are names, globs or ids of several,
+    of which any may hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -146,7 +149,9 @@ class MissionFilter(BaseModel):
     text: Term | None = None
     project: Term | None = None
     project_id: uuid.UUID | None = None
+    projects: Terms = []
     name: Term | None = None
+    missions: Terms = []
     where: Terms = []
     topic: Terms = []
     message_type: Terms = []

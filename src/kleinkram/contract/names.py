@@ -5,6 +5,7 @@ Two names are the same when their `name_key` is the same; the database holds tha
 
 import re
 import unicodedata
+import uuid
 from pathlib import PurePosixPath
 from typing import Annotated
 
@@ -127,3 +128,4 @@ Label = Annotated[str, AfterValidator(check_label), Field(min_length=1, max_leng
 # A word, glob or comparison to search by.
 Term = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_TERM_CHARACTERS)]
 Terms = Annotated[list[Term], Field(max_length=50)]
+Ids = Annotated[list[uuid.UUID], Field(max_length=50)]

@@ -13,7 +13,7 @@ from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
-from kleinkram.contract.names import Term
+from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
 
@@ -221,12 +221,17 @@ class RunsMade(BaseModel):
 
 
 class RunFilter(BaseModel):
-    """Which runs are wanted: those that satisfy all that is given. `action` may be a glob of its name."""
+    """Which runs are wanted: those that satisfy all that is given. `action` may be a glob of its name.
+
+    Of several projects, or several missions, any may hold.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     project_id: uuid.UUID | None = None
+    project_ids: Ids = []
     mission_id: uuid.UUID | None = None
+    mission_ids: Ids = []
     action_id: uuid.UUID | None = None
     action: Term | None = None
     state: Annotated[list[RunState], Field(max_length=len(RunState))] = []
@@ -309,13 +314,15 @@ class MetricRead(BaseModel):
 
 
 class SayingFilter(BaseModel):
-    """Which findings or metrics are wanted. `code` (a metric's name) may be a glob."""
+    """Which findings or metrics are wanted. `code` (a metric's name) may be a glob; any of several places may hold."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     run_id: uuid.UUID | None = None
     mission_id: uuid.UUID | None = None
+    mission_ids: Ids = []
     project_id: uuid.UUID | None = None
+    project_ids: Ids = []
     code: Term | None = None
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
 

@@ -22,6 +22,7 @@ from kleinkram.contract.errors import (
     MethodNotAllowed,
     NotFound,
     RateLimited,
+    WrongClient,
     to_problem,
 )
 from kleinkram.server import measures
@@ -33,7 +34,7 @@ from kleinkram.server.proxies import set_asker
 from kleinkram.server.reads import GONE, Reads, may_be_read_again
 from kleinkram.server.settings import Settings
 from kleinkram.server.turns import note_arrival
-from kleinkram.server.web.serving import app_page, wants_page
+from kleinkram.server.web.serving import app_page, is_of_original, wants_page
 
 _log = logging.getLogger("kleinkram.http")
 _LONGEST_ID = 36
@@ -43,6 +44,8 @@ _DOORS = "/api/v1/auth/"
 # What is said of one invalid request: to tell all that is wrong with a large one would keep everybody else waiting.
 _MOST_PROBLEMS = 100
 _MOST_CHARACTERS = 1000
+# What the original's Python client says of itself in each request.
+_ORIGINALS_HEADER = b"kleinkram-client-version"
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
@@ -58,6 +61,7 @@ class Envelope:
         self._app = Reads(app)
         self._body_limit_bytes = settings.body_limit_bytes
         self._trusted = settings.trusted_proxies
+        self._public_url = settings.public_url
         self._is_https = settings.public_url.startswith("https://")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -90,6 +94,10 @@ class Envelope:
             self._account(scope, status, time.perf_counter() - started, request_id)
 
     async def _bounded(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
+        if _ORIGINALS_HEADER in headers:
+            error = WrongClient(server=self._public_url)
+            await problem_response(error, scope["state"]["request_id"])(scope, receive, send)
+            return
         limit = self._body_limit_bytes
         is_nobody = b"authorization" not in headers and b"cookie" not in headers
         if is_nobody or scope["path"].startswith(_DOORS):
@@ -97,8 +105,8 @@ class Envelope:
         request_id = scope["state"]["request_id"]
         declared = headers.get(b"content-length", b"0")
         if declared.isdigit() and int(declared) > limit:
-            error = BodyTooLarge(size_bytes=int(declared), limit_bytes=limit)
-            await problem_response(error, request_id)(scope, receive, send)
+            too_large = BodyTooLarge(size_bytes=int(declared), limit_bytes=limit)
+            await problem_response(too_large, request_id)(scope, receive, send)
             return
         received = 0
 
@@ -201,12 +209,20 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         return problem_response(BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes), _request_id(request))
     if error.status_code == 405:
         return problem_response(MethodNotAllowed(method=request.method, path=request.url.path), _request_id(request))
-    if error.status_code == 404 and wants_page(request):
-        return app_page(request.app.state.settings, status=404)
+    settings: Settings = request.app.state.settings
+    if error.status_code == 404 and wants_page(request) and not _is_sign_in_of_original(request):
+        return app_page(settings, status=404)
+    if error.status_code == 404 and is_of_original(request.url.path):
+        return problem_response(WrongClient(server=settings.public_url), _request_id(request))
     if error.status_code == 404:
         return problem_response(NotFound(noun="page", ref=request.url.path), _request_id(request))
     problem = FieldProblem(field="request", message=str(error.detail))
     return problem_response(InvalidRequest(problems=[problem]), _request_id(request))
+
+
+def _is_sign_in_of_original(request: Request) -> bool:
+    """Say whether a browser was opened by the original's client, to sign in for it."""
+    return request.url.path.startswith("/auth/") and request.query_params.get("state", "").startswith("cli")
 
 
 async def _on_crash(request: Request, error: Exception) -> JSONResponse:

@@ -57,6 +57,30 @@ def test_what_does_not_exist_is_a_page_to_people_and_a_problem_to_programs(api: 
     assert _POOL.request("POST", f"{api.url}/api/v1/nothing").status == 404
 
 
+def test_the_original_client_is_told_which_client_to_install(api: Api) -> None:
+    carried = {"Kleinkram-Client-Version": "0.63.3", "Accept": "*/*"}
+    requests = [("GET", path, carried) for path in ("/", "/users/me", "/projects", "/missions/x", "/api/v1/projects")]
+    requests += [("POST", "/missions", carried), ("DELETE", "/files", carried), ("PUT", "/anything", carried)]
+    requests += [("GET", path, {"Accept": "*/*"}) for path in ("/projects/many", "/missions/filtered", "/users/me")]
+    requests += [("GET", "/auth/google?state=cli-port-8000", _LOOKING)]
+    for method, path, headers in requests:
+        answer = _POOL.request(method, api.url + path, headers=headers, redirect=False)
+        assert (answer.status, answer.headers["content-type"]) == (404, "application/problem+json"), path
+        problem = answer.json()
+        assert problem["code"] == "wrong_client", path
+        assert problem["message"] == problem["detail"]
+        assert "pip install open-kleinkram" in problem["detail"]
+        assert api.app.state.settings.public_url in problem["detail"]
+
+
+def test_programs_that_ask_for_json_never_get_a_page(api: Api) -> None:
+    for path in ("/", "/projects", f"/missions/{uuid.uuid4()}", "/api/v2/projects", "/api/nothing", "/no/such/place"):
+        answer = _get(api, path, Accept="application/json")
+        assert (answer.status, answer.headers["content-type"]) == (404, "application/problem+json"), path
+    assert _get(api, "/projects", Accept="text/html,application/json;q=0.9").status == 200
+    assert _get(api, "/users/me", **_LOOKING).headers["content-type"].startswith("text/html")
+
+
 def test_the_policy_lets_run_what_is_ours_alone_and_reach_the_store(api: Api) -> None:
     settings = api.app.state.settings
     for path in ("/", "/projects", _script(api)):

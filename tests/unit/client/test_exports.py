@@ -21,7 +21,7 @@ def test_the_package_exports_what_it_says() -> None:
 
 def test_a_client_has_one_attribute_a_noun() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
-        nouns = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close"}
+        nouns = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close", "upload", "download"}
         assert all(getattr(client, noun) is getattr(client, noun) for noun in nouns)
         with pytest.raises(AttributeError, match="robots"):
             client.robots  # type: ignore[attr-defined]  # noqa: B018  that is what is tried

@@ -104,7 +104,7 @@ def test_a_query_has_one_spelling(text: str, said: str) -> None:
         ("month:2026-13", 1, "2026-05"),
         ("content:bad", 1, "one of pending, indexed, recovered"),
         ("recording:front", 1, "recording:ID"),
-        ("project:a b project:c", 13, "said at column 1 already"),
+        (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "said at column 1 already"),
         ('alps "50% of', 6, "the quote that opens at column 6 is not closed"),
         ('alps topic:"/a"b', 15, "a space is missing behind the quote"),
         ("a -topc:/x", 3, "did you mean 'topic'?"),
@@ -132,6 +132,17 @@ def test_a_text_and_a_filter_beside_it_are_one() -> None:
     assert render(whole(asked)) == "alps rain label:a label:b content:broken size>1GB"
     assert type(whole(FileQuery(text="rain"))) is FileFilter
     assert whole(FileQuery(text="rain")) == FileFilter(text="rain")
+
+
+def test_several_projects_or_missions_mean_any_of_them() -> None:
+    first, second = str(uuid.UUID(int=1)), str(uuid.UUID(int=2))
+    assert parse("project:a project:b*") == FileFilter(projects=["a", "b*"])
+    assert parse(f"mission:{first} mission:{second}") == FileFilter(missions=[first, second])
+    assert parse("project:a project:a") == FileFilter(project="a")
+    for matching in (FileFilter(projects=["a", "b c"]), FileFilter(missions=[first, second, "night"], project="a")):
+        assert parse(render(matching)) == matching
+    asked = whole(FileQuery(query="project:a", projects=["b", "c"]))
+    assert sorted(asked.projects) == ["a", "b", "c"]
 
 
 _text = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=12)

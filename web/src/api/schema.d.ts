@@ -2564,9 +2564,6 @@ export interface components {
         /**
          * AdminHealth
          * @description How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
-         *
-         *     `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
-         *     `invitation_warning`: what stops once a second person has an account, and what to do before.
          */
         AdminHealth: {
             /** Clock Skew S */
@@ -2575,8 +2572,6 @@ export interface components {
             database_bytes: number;
             /** Database Version */
             database_version: string;
-            /** Invitation Warning */
-            invitation_warning: string | null;
             /** Not Ready */
             not_ready: string | null;
             /**
@@ -2584,8 +2579,6 @@ export interface components {
              * Format: date-time
              */
             now: string;
-            /** Runs Problem */
-            runs_problem: string | null;
             /** Schema Version */
             schema_version: string;
             /** Store Checksum */
@@ -3239,7 +3232,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3347,8 +3340,9 @@ export interface components {
          *
          *     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
          *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
-         *     Quotes in `text` make several words one. `month` is the one in which the recording began, UTC. `without` are terms
-         *     of the query language (see the page on searching) of which none may hold.
+         *     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
+         *     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
+         *     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
          */
         FileFilter: {
             /**
@@ -3384,6 +3378,11 @@ export interface components {
             /** Mission Id */
             mission_id?: string | null;
             /**
+             * Missions
+             * @default []
+             */
+            missions: string[];
+            /**
              * Month
              * @default []
              */
@@ -3397,6 +3396,11 @@ export interface components {
             project?: string | null;
             /** Project Id */
             project_id?: string | null;
+            /**
+             * Projects
+             * @default []
+             */
+            projects: string[];
             /** Recorded After */
             recorded_after?: string | null;
             /** Recorded Before */
@@ -4254,18 +4258,8 @@ export interface components {
         /**
          * MissionTemplate
          * @description What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
-         *
-         *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
-         *     stand in comments. Dates, weather and operator are not among them.
          */
         MissionTemplate: {
-            /**
-             * Carried
-             * @default {}
-             */
-            carried: {
-                [key: string]: components["schemas"]["JsonValue"];
-            };
             fields: components["schemas"]["MetadataFields"];
             prefilled_from: components["schemas"]["MissionRef"] | null;
             /** Values */
@@ -4354,12 +4348,18 @@ export interface components {
          * MissionUpdate
          * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
          *
-         *     `metadata_yaml` is all metadata anew. `metadata` changes the fields that it names, null takes one away, and the
+         *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
+         *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
          *     document that said all is dropped.
          */
         MissionUpdate: {
             /** Completed */
             completed?: boolean | null;
+            /**
+             * Merge Yaml
+             * @default false
+             */
+            merge_yaml: boolean;
             /** Metadata */
             metadata?: {
                 [key: string]: components["schemas"]["JsonValue"];
@@ -4378,7 +4378,7 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
@@ -4404,7 +4404,7 @@ export interface components {
         };
         /**
          * OneTimeLink
-         * @description A link that is good once, until then. `warning`: what its use changes for others, and what to do before.
+         * @description A link that is good once, until then.
          */
         OneTimeLink: {
             /**
@@ -4414,8 +4414,6 @@ export interface components {
             expires_at: string;
             /** Url */
             url: string;
-            /** Warning */
-            warning?: string | null;
         };
         /**
          * Overview
@@ -7380,12 +7378,14 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
+                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -7468,12 +7468,14 @@ export interface operations {
             query?: {
                 as_admin?: boolean | null;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
+                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -9424,10 +9426,12 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -10223,7 +10227,9 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -11566,9 +11572,11 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 message_type?: string[];
+                missions?: string[];
                 name?: string | null;
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -14801,7 +14809,9 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -15741,7 +15751,9 @@ export interface operations {
                 limit?: number;
                 mine?: boolean;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 state?: components["schemas"]["RunState"][];
             };
             header?: never;
@@ -16429,7 +16441,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: no_inputs, no_runner, file_unavailable. */
+            /** @description A failure, by its code: no_inputs, file_unavailable. */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -16900,10 +16912,12 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -17235,10 +17249,12 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;

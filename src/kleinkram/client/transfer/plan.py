@@ -9,8 +9,9 @@ import os
 import stat
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,12 +68,16 @@ class UploadPlan:
         return sum(file.size_bytes for file in self.files)
 
 
-def plan_upload(paths: Iterable[str | os.PathLike[str]], *, include_active: bool = False) -> UploadPlan:
+def plan_upload(
+    paths: Iterable[str | os.PathLike[str]], *, include_active: bool = False, exclude: Sequence[str] = ()
+) -> UploadPlan:
     """Return what uploading these paths means.
 
     Files that are still being recorded are left out unless `include_active`: those whose name ends in `.active`, and
     those that grow while they are watched for a second (only files modified in the last seconds are). Of files that
     would have the same path in the mission, none is uploaded: nobody but their owner can say which is meant.
+
+    Those that match a glob in `exclude` are left out without a word, as if they were not there (`is_excluded`).
 
     Raises:
         InvalidInput: a path given does not exist.
@@ -80,6 +85,8 @@ def plan_upload(paths: Iterable[str | os.PathLike[str]], *, include_active: bool
     plan = UploadPlan()
     by_key: dict[str, list[LocalFile]] = defaultdict(list)
     for source, path in _walk(paths, plan.left_out):
+        if is_excluded(path, exclude):
+            continue
         file = _judged(source, path, plan.left_out)
         if file is not None and all(other.source != file.source for other in by_key[name_key(file.path)]):
             by_key[name_key(file.path)].append(file)
@@ -104,6 +111,38 @@ def distinct_text(text: str) -> str:
     if text.isascii():
         return repr(text)
     return f"{text!r} ({text.encode('ascii', 'backslashreplace').decode()})"
+
+
+def mission_folders(paths: Iterable[str | os.PathLike[str]], exclude: Sequence[str] = ()) -> dict[str, Path]:
+    """Return the subfolders of some folders by their names, which are to be names of missions; hidden ones are not.
+
+    Raises:
+        InvalidInput: a path is no folder, or has no subfolder, or holds files beside them; or two have one name.
+    """
+    found: dict[str, Path] = {}
+    for given in map(Path, paths):
+        what = f"The folder {shown(str(given))}"
+        try:
+            inside = sorted(each for each in given.iterdir() if not is_excluded(each.name, [*exclude, ".*"]))
+        except OSError as error:
+            raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
+        if loose := [each.name for each in inside if not each.is_dir()]:
+            reason = f"{loose[0]!r} in it belongs to no mission; move it into one, or leave it out with --exclude"
+            raise InvalidInput(what=what, reason=reason)
+        if not inside:
+            raise InvalidInput(what=what, reason="it has no subfolder that could be a mission")
+        for folder in inside:
+            if folder.name in found:
+                raise InvalidInput(what=what, reason=f"there is a second folder named {folder.name!r}")
+            found[folder.name] = folder
+    return found
+
+
+def is_excluded(path: str, globs: Iterable[str]) -> bool:
+    """Say whether a glob matches a file's path in the mission, its name, or a folder that it is in."""
+    parts = path.split("/")
+    names = {*parts, *("/".join(parts[: end + 1]) for end in range(len(parts)))}
+    return any(fnmatchcase(name, glob.rstrip("/")) for glob in globs for name in names)
 
 
 def identity_of(status: os.stat_result) -> Identity:

@@ -27,6 +27,7 @@ from kleinkram.contract.errors.requests import (
     MethodNotAllowed,
     NameTaken,
     NotFound,
+    WrongClient,
     YamlInvalid,
 )
 from kleinkram.contract.errors.rights import (
@@ -110,6 +111,7 @@ __all__ = [
     "TooManyStreams",
     "UploadGone",
     "UploadIncomplete",
+    "WrongClient",
     "YamlInvalid",
     "from_problem",
     "to_problem",

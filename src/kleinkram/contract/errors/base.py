@@ -30,6 +30,7 @@ class ErrorCode(str, enum.Enum):
     last_admin = "last_admin"
     last_way_in = "last_way_in"
     group_fixed = "group_fixed"
+    wrong_client = "wrong_client"
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"

@@ -16,6 +16,21 @@ class NotFound(KleinkramError):
 
 
 @dataclass(eq=False)
+class WrongClient(KleinkramError):
+    """This server is not spoken to by the Python package `kleinkram`: install its own client with `pip install open-kleinkram`, in an environment without the other, then sign in with `klein login {server}`."""  # noqa: E501  one sentence
+
+    code = ErrorCode.wrong_client
+    status = 404  # the original's client shows the `message` of a 404
+    server: str
+    message: str = ""
+
+    def __post_init__(self) -> None:
+        """Give the sentence the name under which the original's client looks for it."""
+        super().__post_init__()
+        self.message = self.sentence()
+
+
+@dataclass(eq=False)
 class AmbiguousName(KleinkramError):
     """{ref!r} names more than one {noun}: {listing}. Say which, by its id or with what holds it."""
 

@@ -16,6 +16,7 @@ _COMPARED = (">", ">=", "<", "<=", *_SAME)
 class Key:
     """A key. `field` is that of `FileFilter`; `id_field` takes its place where the value is an id.
 
+    `several_field` holds the names, globs and ids of a key that is said several times.
     `is_list`: it may be said several times, and any of these is enough. `check` returns a value as it is kept.
     """
 
@@ -25,6 +26,7 @@ class Key:
     operators: tuple[str, ...] = _SAME
     is_list: bool = False
     id_field: str | None = None
+    several_field: str | None = None
     only_id: bool = False
     check: Callable[[str], str] = str
 
@@ -42,8 +44,8 @@ def one_of(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
 
 
 _KEYS = (
-    Key("project", "project", "project:NAME", id_field="project_id"),
-    Key("mission", "mission", "mission:NAME", id_field="mission_id"),
+    Key("project", "project", "project:NAME", id_field="project_id", several_field="projects"),
+    Key("mission", "mission", "mission:NAME", id_field="mission_id", several_field="missions"),
     Key("recording", "recording_id", "recording:ID", id_field="recording_id", only_id=True),
     Key("path", "path", "path:*.mcap", is_list=True),
     Key("topic", "topic", "topic:/imu/*", is_list=True),

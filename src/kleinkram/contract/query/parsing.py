@@ -78,6 +78,13 @@ class _Reading:
             InvalidQuery: there is too much of something.
         """
         given: dict[str, object] = {**self._values, **self._numbers, **self._times, **self._lists}
+        for key in KEYS.values():
+            values = self._lists.get(key.several_field or "", [])
+            named = {str(key.id_field) if is_id(value) else key.field: value for value in values}
+            if values and len(named) == len(values):  # one name beside one id: both must hold
+                del given[str(key.several_field)]
+                given |= named
+                self._said_by |= dict.fromkeys(named, self._said_by[str(key.several_field)])
         if self._words:
             given["text"] = joined(self._words)
         try:
@@ -115,9 +122,11 @@ class _Reading:
         if key.only_id and not by_id:
             raise word.wrong(f"write it like {key.example}")
         field = str(key.id_field) if by_id else key.field
+        if key.several_field is not None:
+            self._add(key.several_field, word.value, word)
+            return
         if field in self._values:
-            at = self._said_by[field].column
-            raise word.wrong(f"{key.name} was said at column {at} already; a glob such as {key.name}:a* means several")
+            raise word.wrong(f"{key.name} was said at column {self._said_by[field].column} already")
         self._values[field] = word.value
         self._said_by[field] = word
 

@@ -78,7 +78,8 @@ def _terms_of(key: Key, matching: FileFilter) -> Iterator[str]:
     if key.name in _UNITS:
         yield from _bounds(key, matching)
         return
-    for field in dict.fromkeys((key.id_field or key.field, key.field)):
+    fields = (key.id_field or key.field, key.field, key.several_field or key.field)
+    for field in dict.fromkeys(fields):
         held = getattr(matching, field)
         if key.name in {"after", "before"}:
             held = None if held is None else say_time(held)

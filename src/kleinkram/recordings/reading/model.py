@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+# Names of seconds and nanoseconds: of ROS 2, ROS 1, Foxglove's JSON, and protobuf.
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
 END_OF_TIME_NS = 2**64
 """Behind every log time that a file can hold."""
 
@@ -64,20 +66,32 @@ class Message(NamedTuple):
     """One message as values. Times as in `RawMessage`.
 
     Attributes:
-        value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded.
+        value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded. Its
+            attributes are those of the message's definition, which no type checker knows.
     """
 
     topic: str
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    value: object
+    value: Any  # Any: what fields it has, the file says
     channel: Channel
 
     @property
     def schema(self) -> Schema:
         """What its type looks like."""
         return self.channel.schema
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """When it was measured, in ns: its header's stamp, or its own, of ROS 1 and ROS 2 alike; None without one."""
+        header = _field(self.value, "header")
+        for stamp in (_field(header, "stamp"), _field(self.value, "stamp"), _field(self.value, "timestamp")):
+            for seconds, nanoseconds in _STAMPS:
+                whole, rest = _field(stamp, seconds), _field(stamp, nanoseconds)
+                if isinstance(whole, int) and isinstance(rest, int):
+                    return whole * 1_000_000_000 + rest
+        return None
 
 
 @dataclass(frozen=True)
@@ -104,3 +118,8 @@ class Selection(NamedTuple):
     topics: frozenset[str] | None = None
     start_ns: int = 0
     end_ns: int = END_OF_TIME_NS
+
+
+def _field(value: object, name: str) -> object:
+    """Return a field of a decoded message, or of one that JSON made; None where it has none of that name."""
+    return value.get(name) if isinstance(value, dict) else getattr(value, name, None)

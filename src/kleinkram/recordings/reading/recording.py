@@ -9,6 +9,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
+from html import escape
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -53,6 +56,7 @@ class Recording:
         self._summarise = opened.summarise
         self._of_summary: tuple[Problem, ...] | None = None
         self._is_closed = False
+        self._opened_from: tuple[Openable, int | None] | None = None
         self._noticed = noticed
         contents = [member.contents for member in opened.members]
         counts = [content.message_count for content in contents]
@@ -81,7 +85,26 @@ class Recording:
         """
         noticed = Noticed()
         opened = open_members(what, noticed, most_bytes=most_bytes)
-        return cls(opened, noticed)
+        recording = cls(opened, noticed)
+        recording._opened_from = (Path(what).absolute() if isinstance(what, str | PathLike) else what, most_bytes)
+        return recording
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle what was opened, not its content: where it is unpickled, it is opened anew.
+
+        Raises:
+            TypeError: it was not made by `open`.
+        """
+        if self._opened_from is None:
+            raise TypeError("a recording that was not made by Recording.open cannot be pickled")
+        return _open_again, self._opened_from
+
+    def _repr_html_(self) -> str:
+        """Return its topics as a table, for notebooks."""
+        cells = [(topic.name, topic.message_type, "" if topic.count is None else topic.count) for topic in self.topics]
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in cells)
+        heading = "<tr><th>topic</th><th>type</th><th>messages</th></tr>"
+        return f"<table><caption>{escape(self.name)}</caption>{heading}{rows}</table>"
 
     @property
     def start_ns(self) -> int | None:
@@ -121,7 +144,7 @@ class Recording:
 
         Args:
             topics: names or globs; None: all.
-            start: earliest log time, inclusive: nanoseconds, or an aware datetime.
+            start: earliest log time, inclusive: nanoseconds, an aware datetime, or ISO text such as 2026-05-01T10:00Z.
             end: latest log time, exclusive.
 
         Raises:
@@ -179,9 +202,15 @@ class Recording:
         start: Time | None = None,
         end: Time | None = None,
     ) -> pd.DataFrame:
-        """Return what `to_arrow` returns, as a pandas frame."""
+        """Return what `to_arrow` returns, as a pandas frame with the log times (UTC, to the ns) as its index."""
         decoder, messages = self._of_topic(topic, start, end)
-        return to_pandas(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+        frame = to_pandas(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+        import pandas  # is there: `to_pandas` has just used it
+
+        frame.index = pandas.DatetimeIndex(
+            pandas.to_datetime(frame["log_time_ns"], unit="ns", utc=True), name="log_time"
+        )
+        return frame
 
     def batches(
         self,
@@ -261,6 +290,10 @@ class Recording:
         except Malformed as error:
             self._noticed.add("damaged-message", message.topic, f"left out: {error.message}")
             return None
+
+
+def _open_again(what: Openable, most_bytes: int | None) -> Recording:
+    return Recording.open(what, most_bytes=most_bytes)
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:

@@ -107,6 +107,10 @@ def matching_events(actor: Actor, matching: AuditFilter) -> Select[Any]:
     stmt = visible_events(actor)
     stmt = stmt.where(*(column == value for column, value in same.items() if value is not None))
     stmt = stmt.where(*(matches(column, glob) for column, glob in named.items() if glob is not None))
+    if matching.project_ids:
+        stmt = stmt.where(audit_event.c.project_id.in_(matching.project_ids))
+    if matching.mission_ids:
+        stmt = stmt.where(audit_event.c.mission_id.in_(matching.mission_ids))
     if matching.since is not None:
         stmt = stmt.where(audit_event.c.at >= _aware(matching.since))
     return stmt if matching.until is None else stmt.where(audit_event.c.at < _aware(matching.until))

@@ -7,6 +7,7 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 import asyncio
 import uuid
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Row, Update, func, insert
@@ -204,12 +205,13 @@ async def update_mission(
         QuotaExceeded: the project to move it to has no room for it.
         EditedMeanwhile: it is not of the edition in `if_match` any more.
     """
-    document = None if changes.metadata_yaml is None else await _said_in(changes)
+    is_said = changes.metadata_yaml is not None or changes.metadata is not None
+    document = await _said_in(changes) if is_said else None
     row = await get_mission_row(db, actor, mission_id)
     # Before anything is said of the project to move it to; and once more when it is held.
     moves = changes.project_id is not None and changes.project_id != row.project_id
     await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
-    if document is not None or changes.metadata is not None or changes.project_id is not None:
+    if document is not None or changes.project_id is not None:
         # Project before mission, as where a project's fields change, so that the two never wait for each other.
         await _fields_after(db, actor, row.id, moves_to=changes.project_id if moves else None)
     await lock_mission(db, mission_id)
@@ -344,20 +346,23 @@ async def _judged_changes(
     db: Connection, actor: Actor, old: MissionRead, *, changes: MissionUpdate, document: Document | None
 ) -> dict[str, Any]:
     project_id = changes.project_id or old.project.id
-    if changes.metadata is not None:
-        changed = old.metadata | changes.metadata
-        document = Document({name: value for name, value in changed.items() if value is not None})
+    keeps_text = document is not None and changes.metadata is None and not changes.merge_yaml
+    if document is not None and not keeps_text:
+        changed = old.metadata | (document.value if isinstance(document.value, dict) else {})
+        values: Metadata = {name: value for name, value in changed.items() if value is not None}
+        document = replace(document, value=values)
     if document is None and project_id == old.project.id:
         return {}
     fields = await _fields_after(db, actor, old.id, moves_to=None if project_id == old.project.id else project_id)
-    values: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
+    moved: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
     if document is None:
-        return values | {"metadata_problems": _problems(Judge(fields), old.metadata)}
+        return moved | {"metadata_problems": _problems(Judge(fields), old.metadata)}
     metadata = satisfying(document, fields)
-    same_document = changes.metadata is not None or old.metadata_yaml == changes.metadata_yaml
-    if not values and same_document and (old.metadata, old.metadata_problems) == (metadata, []):
+    text = changes.metadata_yaml if keeps_text else None
+    same_document = not keeps_text or old.metadata_yaml == text
+    if not moved and same_document and (old.metadata, old.metadata_problems) == (metadata, []):
         return {}
-    return values | {"metadata": metadata, "metadata_yaml": changes.metadata_yaml, "metadata_problems": []}
+    return moved | {"metadata": metadata, "metadata_yaml": text, "metadata_problems": []}
 
 
 async def _project(db: Connection, actor: Actor, project_id: uuid.UUID) -> tuple[str, MetadataFields]:

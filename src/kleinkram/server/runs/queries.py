@@ -109,6 +109,10 @@ def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
         conditions.append(mission.c.project_id == matching.project_id)
     if matching.mission_id is not None:
         conditions.append(run.c.mission_id == matching.mission_id)
+    if matching.project_ids:
+        conditions.append(mission.c.project_id.in_(matching.project_ids))
+    if matching.mission_ids:
+        conditions.append(run.c.mission_id.in_(matching.mission_ids))
     if matching.action_id is not None:
         conditions.append(action_version.c.action_id == matching.action_id)
     if matching.action is not None:
@@ -221,6 +225,10 @@ def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[An
         stmt = stmt.where(run.c.id == matching.run_id)
     if matching.mission_id is not None:
         stmt = stmt.where(run.c.mission_id == matching.mission_id)
+    if matching.project_ids:
+        stmt = stmt.where(mission.c.project_id.in_(matching.project_ids))
+    if matching.mission_ids:
+        stmt = stmt.where(run.c.mission_id.in_(matching.mission_ids))
     return stmt if matching.project_id is None else stmt.where(mission.c.project_id == matching.project_id)
 
 

@@ -26,7 +26,7 @@ _PLAIN = re.compile(r"[^\s*?\"\\]+")
 def chosen(matching: FileFilter, facet: str) -> list[str]:
     """Return the values of a facet that a filter asks for."""
     if facet == "project":
-        return [] if matching.project is None else [matching.project]
+        return [*matching.projects] if matching.project is None else [matching.project, *matching.projects]
     if facet.startswith(META):
         return [value for field, value in map(_equality, matching.where) if field == facet.removeprefix(META)]
     return [str(getattr(value, "value", value)) for value in getattr(matching, LISTS[facet])]
@@ -40,7 +40,7 @@ def fields(matching: FileFilter) -> list[str]:
 def without(matching: FileFilter, facet: str) -> FileFilter:
     """Return a filter that leaves open what the facet says."""
     if facet == "project":
-        return _with(matching, project=None, project_id=None)
+        return _with(matching, project=None, project_id=None, projects=[])
     if facet.startswith(META):
         field = facet.removeprefix(META)
         return _with(matching, where=[each for each in matching.where if _equality(each)[0] != field])
@@ -53,7 +53,7 @@ def with_value(matching: FileFilter, facet: str, value: str, *, kind: str = "str
     `kind` is what the value of a metadata field is: string, number or boolean.
     """
     if facet == "project":
-        return _with(matching, project=value, project_id=None)
+        return _with(matching, project=value, project_id=None, projects=[])
     if facet.startswith(META):
         bare = without(matching, facet)
         return _with(bare, where=[*bare.where, comparison(facet.removeprefix(META), value, kind)])
@@ -64,6 +64,9 @@ def with_value(matching: FileFilter, facet: str, value: str, *, kind: str = "str
 
 def without_value(matching: FileFilter, facet: str, value: str) -> FileFilter:
     """Return a filter that no longer asks for a value of a facet."""
+    if facet == "project" and matching.projects:
+        left = [each for each in matching.projects if name_key(each) != name_key(value)]
+        return _with(matching, projects=left)
     if facet not in LISTS:
         return without(matching, facet)
     return _with(matching, **{LISTS[facet]: [each for each in chosen(matching, facet) if each != value]})

@@ -1,6 +1,7 @@
 """What the filters of the contract mean: selects that began with `visible_*`, narrowed."""
 
 import datetime
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -32,6 +33,7 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
+from kleinkram.contract.names import is_id
 from kleinkram.contract.query.parsing import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Found
@@ -57,7 +59,8 @@ Conditions = list[ColumnElement[bool]]
 # What a filter of files says that can be said of a mission itself.
 _SAID_OF_MISSIONS = frozenset(
     {
-        *("text", "project", "project_id", "mission", "mission_id", "where", "recorded_after", "recorded_before"),
+        *("text", "project", "project_id", "projects", "mission", "mission_id", "missions"),
+        *("where", "recorded_after", "recorded_before"),
         "without",
     }
 )
@@ -86,6 +89,7 @@ def _conditions(actor: Actor, matching: MissionFilter) -> Conditions:
     conditions = _place(matching) + _span(matching, *shown_span(actor))
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
+    conditions += _any_of(mission, matching.missions)
     conditions += [condition(expression) for expression in matching.where]
     conditions += _words(matching.text, lambda word: mission_holds(actor, word))
     if matching.topic or matching.message_type:
@@ -200,6 +204,7 @@ def _own_conditions(actor: Actor, matching: FileFilter) -> Conditions:
         conditions.append(matches_key(mission.c.name_key, matching.mission))
     if matching.mission_id is not None:
         conditions.append(mission.c.id == matching.mission_id)
+    conditions += _any_of(mission, matching.missions)
     if matching.recording_id is not None:
         conditions.append(file.c.recording_id == matching.recording_id)
     if matching.path:
@@ -256,7 +261,15 @@ def _place(matching: MissionFilter | FileFilter) -> Conditions:
         conditions.append(matches_key(project.c.name_key, matching.project))
     if matching.project_id is not None:
         conditions.append(project.c.id == matching.project_id)
-    return conditions
+    return conditions + _any_of(project, matching.projects)
+
+
+def _any_of(table: Table, refs: Sequence[str]) -> Conditions:
+    """Return the condition that a project or mission is one of those that are meant: by name, glob or id."""
+    if not refs:
+        return []
+    named = (matches_key(table.c.name_key, ref) for ref in refs if not is_id(ref))
+    return [or_(table.c.id.in_([uuid.UUID(ref) for ref in refs if is_id(ref)]), *named)]
 
 
 def _span(

@@ -26,7 +26,7 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import shown_recordings, visible_files
+from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Written
 from kleinkram.server.search.asked import Asked
@@ -115,6 +115,23 @@ def group_column(by: str) -> ColumnElement[Any] | None:
         "format": blob.c.format,
     }
     return columns.get(by)
+
+
+def has_field(actor: Actor, by: str) -> Select[Any]:
+    """Return whether a visible mission has the field of `metadata.FIELD`, or a visible project declares it."""
+    path = by.removeprefix("metadata.").split(".")
+    held = visible_missions(actor).with_only_columns(true()).where(metadata_text(path).is_not(None)).limit(1)
+    declares = project.c.metadata_fields.contains({"fields": [{"name": path[0]}]})
+    declared = visible_projects(actor).with_only_columns(true()).where(declares).limit(1)
+    return select(held.exists() | declared.exists())
+
+
+def field_names(actor: Actor) -> Select[Any]:
+    """Return the names of metadata fields of visible missions, in order."""
+    name = func.jsonb_object_keys(mission.c.metadata).label("name")
+    return (
+        visible_missions(actor).with_only_columns(name, maintain_column_froms=True).distinct().order_by(name).limit(20)
+    )
 
 
 def shares_no_mission(by: str) -> bool:

@@ -130,6 +130,10 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         raise InvalidQuery(expression=by, reason=reason)
     if by.startswith("metadata.") and not sees_whole_missions(actor):
         raise InvalidQuery(expression=by, reason="what you came with does not show metadata of missions")
+    if by.startswith("metadata.") and not (await db.execute(queries.has_field(actor, by))).scalar_one():
+        names = ", ".join((await db.execute(queries.field_names(actor))).scalars()) or "none"
+        reason = f"no mission has such a field; say project, mission, topic, type, month, format or a field: {names}"
+        raise InvalidQuery(expression=by.removeprefix("metadata."), reason=reason)
     by_topic = by in {"topic", "type"}
     await db.execute(queries.room_to_count())
     grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)

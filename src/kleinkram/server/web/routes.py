@@ -1,17 +1,33 @@
 """The app over HTTP: its page under each of its places, its files, and what the server's own pages share with it."""
 
 from fastapi import APIRouter, Request, Response
+from starlette.exceptions import HTTPException
 
 from kleinkram.server.access.operations import PLACES
 from kleinkram.server.dependencies import CurrentSettings
-from kleinkram.server.web.serving import DAY, FOREVER, app_page, built_file, static_file
+from kleinkram.server.web.serving import (
+    DAY,
+    FOREVER,
+    app_page,
+    asks_for_json,
+    built_file,
+    is_of_original,
+    static_file,
+    wants_page,
+)
 
 # Not part of the API: for people, not for programs.
 router = APIRouter(include_in_schema=False)
 
 
-async def view(settings: CurrentSettings) -> Response:
-    """Show the app, at whatever view the address names."""
+async def view(request: Request, settings: CurrentSettings) -> Response:
+    """Show the app, at whatever view the address names; to a program that asks for JSON, there is nothing here.
+
+    Raises:
+        HTTPException: 404, for a program.
+    """
+    if asks_for_json(request) or (not wants_page(request) and is_of_original(request.url.path)):
+        raise HTTPException(404)
     return app_page(settings)
 
 

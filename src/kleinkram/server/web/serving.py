@@ -3,6 +3,7 @@
 Reads files that were made with the wheel or by `make setup`, and nothing else. A name never leads out of its folder.
 """
 
+import re
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -39,6 +40,12 @@ _TYPES: Final = {
 _SMALLER: Final = (("br", ".br"), ("gzip", ".gz"))  # the smallest first
 # Under these everything is the API's: what is not there is told as a problem, to programs.
 _OF_PROGRAMS: Final = ("/api/", "/assets/", "/fonts/", "/health/", "/static/", "/s/static/", "/sign-in/static/")
+# Paths of the original's API that are no views of the app, and those under the names of views.
+_ORIGINALS_PATH = re.compile(
+    r"/(auth|users?|templates|triggers|metadata-types|action|hooks|tag|queue|topic|worker|access|category|user)(/.*)?"
+    r"|/(projects?|missions?|files?|actions)/(many|filtered|one|byName|ofMission|running|script|temporaryAccess|download"
+    r"|exists|upload|uploads|recent|getDefaultRights|mergeMetadata|migrate|verify)(/.*)?"
+)
 _NOT_BUILT: Final = (
     '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Kleinkram</title></head><body><main>'
     "<h1>The web interface is not built</h1><p>This server runs from a checkout: <code>make setup</code> builds it. "
@@ -75,6 +82,17 @@ def wants_page(request: Request) -> bool:
     """Say whether a person's browser asks for a page, and not a program for an answer."""
     is_looking = request.method == "GET" and "text/html" in request.headers.get("accept", "")
     return is_looking and not request.url.path.startswith(_OF_PROGRAMS)
+
+
+def asks_for_json(request: Request) -> bool:
+    """Say whether a program asks, which takes JSON and no page."""
+    accepted = request.headers.get("accept", "")
+    return "json" in accepted and "text/html" not in accepted
+
+
+def is_of_original(path: str) -> bool:
+    """Say whether the original's API has this path, and neither ours nor the app."""
+    return _ORIGINALS_PATH.fullmatch(path) is not None
 
 
 def built_file(request: Request, settings: Settings, name: str, *, caching: str) -> Response:

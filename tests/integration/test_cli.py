@@ -1,0 +1,155 @@
+"""The command line against a real server: several projects and missions, merged metadata, failures as JSON."""
+
+import json
+import os
+import subprocess
+import sys
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.integration.jobs import run_jobs
+from tests.integration.running import Api
+
+KLEIN = Path(sys.executable).parent / "klein"
+Klein = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="module")
+def klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
+    """Run a command, and check its exit code."""
+    home = tmp_path_factory.mktemp("home")
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("KLEINKRAM_", "COLUMNS"))}
+    ours = {name: str(home / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
+    known = {"KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}
+
+    def run(*arguments: object, code: int = 0, **environment: str) -> "subprocess.CompletedProcess[str]":
+        words = [str(KLEIN), *map(str, arguments)]
+        done = subprocess.run(
+            words, env={**kept, **ours, **known, **environment}, capture_output=True, text=True, timeout=100
+        )
+        assert done.returncode == code, f"{words}: {done}"
+        return done
+
+    return run
+
+
+def _items(done: "subprocess.CompletedProcess[str]") -> list[Any]:
+    found: list[Any] = json.loads(done.stdout)["items"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def projects(api: Api, klein: Klein, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """Two projects: `north` with the missions day and night, `south` with day; a recording in each."""
+    north, south = (f"{name}-{uuid.uuid4().hex[:8]}" for name in ("north", "south"))
+    folder = tmp_path_factory.mktemp("field")
+    for project, missions in ((north, ("day", "night")), (south, ("day",))):
+        klein("project", "create", project)
+        for mission in missions:
+            klein("sample", folder / project / mission, "--size", "1MB", "--format", "mcap")
+            (folder / project / mission / "core.tmp").write_text("left out")
+        klein("upload", "-p", project, "--mission-per-folder", "--create", "--exclude", "*.tmp", folder / project)
+    run_jobs(api)
+    return north, south
+
+
+def test_several_projects_and_missions_are_selected_everywhere(klein: Klein, projects: tuple[str, str]) -> None:
+    north, south = projects
+    both = ("-p", north, "-p", south)
+    assert len(_items(klein("mission", "list", *both, "--json"))) == 3
+    assert len(_items(klein("file", "list", *both, "--json"))) == 3
+    assert len(_items(klein("search", *both, "-m", "day", "--json"))) == 2
+    assert len(_items(klein("file", "list", "-p", north, "-m", "day", "-m", "night", "--json"))) == 2
+    assert json.loads(klein("stats", *both, "--json").stdout)["total"]["files"] == 3
+    dry = klein("download", "-p", north, "-m", "day", "-m", "night", "--nested", "--dry-run", "--json")
+    assert len(_items(dry)) == 2
+    for command in (("run", "list"), ("run", "findings"), ("run", "metrics"), ("audit",), ("action", "list")):
+        klein(*command, *both, "--json")
+    klein("run", "list", "-p", north, "-m", "day", "-m", "night")
+    assert {row["project_id"] for row in _items(klein("audit", *both, "--operation", "mission.create", "--json"))}
+    for command in (("mission", "info"), ("upload", "x"), ("share", "create"), ("access", "list")):
+        refused = klein(*command, "-p", north, "-p", south, "-m", "day", code=2)
+        assert "--project was given 2 times; this command takes one" in refused.stderr
+    assert "this takes one" in klein("verify", "-p", north, "-m", "day", "-m", "night", KLEIN, code=2).stderr
+
+
+def test_metadata_is_merged_and_the_changes_are_printed(
+    klein: Klein, projects: tuple[str, str], tmp_path: Path
+) -> None:
+    where = ("-p", projects[1], "-m", "day")
+    update = tmp_path / "update.yaml"
+    for text, more, shown in (
+        ("robot: anymal\nwind: 3\n", (), ["robot: (none) -> anymal", "wind: (none) -> 3"]),
+        ("wind: 5\n", (), ["wind: 3 -> 5"]),
+        ("wind: null\n", (), ["wind: 5 -> (none)"]),
+        ("operator: Ada\n", ("--replace",), ["robot: anymal -> (none)", "operator: (none) -> Ada"]),
+    ):
+        update.write_text(text)
+        lines = klein("mission", "update", *where, "--metadata", update, *more).stdout.splitlines()
+        assert [line.strip() for line in lines[1:]] == shown
+    mission = json.loads(klein("mission", "info", *where, "--json").stdout)["mission"]
+    assert (mission["metadata"], mission["metadata_yaml"]) == ({"operator": "Ada"}, "operator: Ada\n")
+    assert "nothing changed" in klein("mission", "update", *where, "--metadata", update).stderr
+
+
+def test_each_topic_is_listed_once(klein: Klein, projects: tuple[str, str]) -> None:
+    found = _items(klein("search", "-p", projects[0], "--show", "topics", "--json"))
+    names = [(row["name"], row["message_type"]) for row in found]
+    assert len(names) == len({*names}) > 3
+    assert {row["file_count"] for row in found} == {2}
+    shown = klein("mission", "info", "-p", projects[0], "day").stdout
+    assert shown.count("/imu/data ") == 1
+
+
+def test_statistics_by_an_unknown_field_are_refused(klein: Klein, projects: tuple[str, str]) -> None:
+    refused = klein("stats", "-p", projects[0], "--by", "weahter", code=2)
+    assert "no mission has such a field" in refused.stderr
+    assert "month" in refused.stderr
+
+
+def test_failures_are_json_where_json_is_asked_for(klein: Klein, projects: tuple[str, str]) -> None:
+    for arguments, code, word in (
+        (("mission", "info", "nope", "-p", projects[0]), 3, "not_found"),
+        (("mission", "list", "--nope"), 2, "usage"),
+        (("projct", "list"), 2, "usage"),
+        (("upload", "/no/such/path", "-p", projects[0], "-m", "day"), 2, "invalid_input"),
+        (("stats", "--by", "weahter"), 2, "invalid_query"),
+    ):
+        done = klein(*arguments, "--json", code=code)
+        error = json.loads(done.stderr)["error"]
+        assert (done.stdout, error["code"], error["exit_code"]) == ("", word, code)
+        assert error["message"]
+    away = klein("project", "list", "--json", code=7, KLEINKRAM_URL="http://127.0.0.1:9")
+    assert json.loads(away.stderr)["error"]["code"] == "server_unreachable"
+
+
+def test_tables_fit_the_terminal_and_ids_are_shown_when_asked_for(klein: Klein, projects: tuple[str, str]) -> None:
+    for command in (("project", "list"), ("mission", "list"), ("file", "list"), ("search",), ("audit",), ("stats",)):
+        shown = klein(*command, COLUMNS="80").stdout
+        assert max(map(len, shown.splitlines())) <= 80, command
+    ids = {row["id"] for row in _items(klein("file", "list", "-p", projects[0], "--json"))}
+    assert not any(one in klein("file", "list", "-p", projects[0]).stdout for one in ids)
+    assert all(one in klein("file", "list", "-p", projects[0], "--wide", COLUMNS="80").stdout for one in ids)
+
+
+def test_debug_shows_requests_without_secrets(api: Api, klein: Klein, projects: tuple[str, str]) -> None:
+    said = klein("mission", "info", "nope", "-p", projects[0], "--debug", code=3).stderr
+    assert "GET /api/v1/missions: 200 in " in said
+    assert "(request " in said
+    assert "Traceback" in said
+    assert str(api.token) not in said
+
+
+def test_names_are_completed_and_an_absent_server_is_silent(klein: Klein, projects: tuple[str, str]) -> None:
+    north = projects[0]
+    shell = {"_KLEIN_COMPLETE": "complete_bash", "COMP_CWORD": "4"}
+    typed = {**shell, "COMP_WORDS": f"klein mission list -p {north[:9]}"}
+    assert klein(**typed).stdout.split() == [north]
+    missions = {**shell, "COMP_CWORD": "6", "COMP_WORDS": f"klein mission info -p {north} -m ni"}
+    assert klein(**missions).stdout.split() == ["night"]
+    done = klein(**typed, KLEINKRAM_URL="http://127.0.0.1:9")
+    assert (done.stdout.strip(), done.stderr) == ("", "")
