@@ -7,7 +7,7 @@ from typing import Any
 
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
 from tests.integration.access.calling import (
     Caller,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.rights import Right, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
 from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach
 from tests.integration.access.expecting import Place
