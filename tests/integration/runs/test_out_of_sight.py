@@ -76,7 +76,7 @@ def _addresses(ids: dict[str, list[str]]) -> list[tuple[str, str, dict[str, str]
             continue
         names = [each["name"] for each in operations["get"].get("parameters", []) if each["in"] == "path"]
         if len(names) == 1 and names[0] in ids:
-            found += [(path.replace("{%s}" % names[0], each), each, {}) for each in ids[names[0]]]
+            found += [(path.replace(f"{{{names[0]}}}", each), each, {}) for each in ids[names[0]]]
         elif not names:
             found.append((path, "-", {}))
             queries = [each["name"] for each in operations["get"].get("parameters", []) if each["in"] == "query"]

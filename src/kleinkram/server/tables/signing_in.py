@@ -111,8 +111,8 @@ one_time_code = Table(
     CheckConstraint("(purpose = 'invitation') = (email IS NOT NULL)", name="email"),
 )
 
-# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves, or,
-# where it `renews`, to prove once more who they are.
+# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves,
+# or, where it `renews`, to prove once more who they are.
 oidc_login = Table(
     "oidc_login",
     metadata,
