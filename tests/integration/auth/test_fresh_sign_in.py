@@ -34,9 +34,7 @@ _SENSITIVE = [
 
 
 @pytest.mark.parametrize(("method", "path", "body"), _SENSITIVE)
-def test_after_a_while_one_signs_in_again_for_it(
-    api: Api, ada: Account, method: str, path: str, body: object
-) -> None:
+def test_after_a_while_one_signs_in_again_for_it(api: Api, ada: Account, method: str, path: str, body: object) -> None:
     _age(api, ada)
     refused = ada.browser.call(method, f"/api/v1{path}", body).refused(403, "sign_in_too_old")
     assert "sign in again" in refused["detail"]

@@ -70,7 +70,7 @@ def _said(answer: Any, asked: str) -> str:
 
 def _addresses(ids: dict[str, list[str]]) -> list[tuple[str, str, dict[str, str]]]:
     """Return every GET route with every id that fits, as path, the id and the query."""
-    found = []
+    found: list[tuple[str, str, dict[str, str]]] = []
     for path, operations in json.loads(_OPENAPI.read_text())["paths"].items():
         if "get" not in operations or path.endswith("/events"):
             continue
