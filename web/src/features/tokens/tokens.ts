@@ -50,7 +50,7 @@ export function wanted(draft: Draft): TokenCreate {
     kind: draft.kind,
     scopes: isRunner ? ["run"] : draft.scopes.filter((scope) => !isContained(scope, draft.scopes)),
     project_ids: [...draft.projectIds],
-    mission_ids: isRunner ? [] : [...draft.missionIds],
+    mission_ids: [...draft.missionIds], // of a runner's token, the server refuses them
     expires_at: draft.until,
     no_end: draft.until === null,
     ...(isRunner && labels.length > 0 ? { runner_labels: labels } : {}),
