@@ -16372,7 +16372,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, forbidden. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -16461,7 +16461,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, forbidden. */
             403: {
                 headers: {
                     [name: string]: unknown;
