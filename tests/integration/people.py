@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.names import name_key
 from kleinkram.contract.rights import GroupKind, Right, Scope, TokenKind
-from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration.running import Api
 
 # Seconds from now by the database's clock; below zero for what has expired, None for what does not.

@@ -104,6 +104,18 @@ def reset(who: Who, as_json: AsJson = False) -> None:
     _show_link(made, as_json)
 
 
+@app.command("reset-totp")
+def reset_totp(who: Who, as_json: AsJson = False) -> None:
+    """Take the second factor away from somebody who lost their device. They sign in with their password alone."""
+    with connect() as client:
+        person = client.people.get(who)
+        client.people.reset_totp(person.id)
+    if as_json:
+        show_json({"reset": str(person.id)})
+        return
+    note(f"{escape(person.name)} signs in with the password alone until they add a second factor again.")
+
+
 def _show_link(made: OneTimeLink, as_json: bool) -> None:
     if as_json:
         show_json(made)

@@ -17,6 +17,7 @@ from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import moment, show_json_list, table
 from kleinkram.cli.units import parse_size, size
+from kleinkram.contract.runners import RunnerToken
 
 app = Noun("Runners: machines that run actions.")
 
@@ -95,7 +96,7 @@ def list_(as_json: AsJson = False) -> None:
         show_json_list(rows)
         return
     table(
-        ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "version", "id"],
+        ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"],
         [
             (
                 row.name,
@@ -106,9 +107,20 @@ def list_(as_json: AsJson = False) -> None:
                 size(row.capacity.memory_bytes),
                 row.capacity.gpus,
                 ", ".join(row.labels) or None,
+                _token(row.token),
                 row.version,
                 row.id,
             )
             for row in rows
         ],
     )
+
+
+def _token(token: RunnerToken | None) -> str | None:
+    """Return the name of a runner's token, and what it is limited to."""
+    if token is None:
+        return None
+    limits = [f"project {each.name}" for each in token.projects or []] + [
+        f"label {each}" for each in token.labels or []
+    ]
+    return f"{token.name} (only {', '.join(limits)})" if limits else token.name

@@ -11,7 +11,7 @@ from kleinkram.cli.options import AsJson, Limit, Until
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import ending
 from kleinkram.client import Client
-from kleinkram.client.tokens import Reach
+from kleinkram.client.tokens import Reach, RunnerLimits
 from kleinkram.contract.names import is_id
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.tokens import TokenRead
@@ -38,15 +38,33 @@ def create(
         list[str] | None,
         typer.Option("--mission", "-m", metavar="PROJECT/MISSION", help="Reaches only this; may be repeated."),
     ] = None,
+    runner: Annotated[
+        uuid.UUID | None,
+        typer.Option("--runner", metavar="ID", help="For this runner. Default: the first one that uses it."),
+    ] = None,
+    label: Annotated[
+        list[str] | None,
+        typer.Option("--label", metavar="L", help="A runner gets only runs that ask for this; may be repeated."),
+    ] = None,
     until: Until = None,
     days: Days = None,
+    no_end: Annotated[bool, typer.Option("--no-end", help="It never ends, where the server allows that.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make a token and print it. It is shown this once."""
+    """Make a token and print it. It is shown this once. Without an end, it gets the one that is usual on the server."""
     with connect() as client:
         expires_at = ending(until, days, client.service.now)
+        limits = RunnerLimits(runner, label or []) if runner or label else None
         reach = Reach([client.projects.get(ref).id for ref in project or []], _missions(client, mission or []))
-        made = client.tokens.create(name, kind=kind, scopes=scope or None, reach=reach, expires_at=expires_at)
+        made = client.tokens.create(
+            name,
+            kind=kind,
+            scopes=scope or None,
+            reach=reach,
+            expires_at=expires_at,
+            no_end=no_end,
+            runner=limits,
+        )
     if as_json:
         show_json(made)
         return
@@ -69,7 +87,7 @@ def list_(
         show_json_list(rows)
         return
     table(
-        ["name", "begins", "kind", "scopes", "reaches", "of", "last used", "until", "revoked", "id"],
+        ["name", "begins", "kind", "scopes", "reaches", "runner", "of", "last used", "until", "revoked", "id"],
         [
             (
                 row.name,
@@ -77,6 +95,7 @@ def list_(
                 row.kind.value,
                 _scopes(row),
                 _places(row),
+                _runner(row),
                 row.person.name,
                 row.last_used_at,
                 row.expires_at,
@@ -124,7 +143,15 @@ def _scopes(token: TokenRead) -> str:
     return ", ".join(scope.value for scope in token.scopes)
 
 
+def _runner(token: TokenRead) -> str | None:
+    if token.kind is not TokenKind.runner:
+        return None
+    labels = f", only {' or '.join(token.runner_labels)}" if token.runner_labels else ""
+    bound = (token.runner.name or str(token.runner.id)) if token.runner else "the first that uses it"
+    return f"{bound}{labels}"
+
+
 def _places(token: TokenRead) -> str:
     if token.limits is None:
-        return "all that its person reaches"
+        return "all runs" if token.kind is TokenKind.runner else "all that its person reaches"
     return ", ".join(f"{place.noun} {place.name or place.id}" for place in token.limits) or "nothing any more"

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import MAX_SCRIPT_CHARACTERS, ActionDefinition
+from kleinkram.recordings.yaml_depth import shallow_yaml
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -20,6 +20,7 @@ else:
 MANIFEST = "action.yaml"
 MAIN = "main.py"
 _MOST_BYTES = 1_000_000
+_MAX_DEPTH = 50
 # Source: PEP 723, "Inline script metadata", its reference implementation.
 _BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
 
@@ -54,8 +55,8 @@ def read_manifest(path: Path) -> ActionDefinition:
 
 def _of_yaml(file: Path, text: str) -> dict[str, Any]:
     try:
-        said = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
+        said = shallow_yaml("safe", max_depth=_MAX_DEPTH).load(text)
+    except (YAMLError, ValueError, RecursionError) as error:
         raise InvalidInput(what=str(file), reason=f"is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(said, dict):
         raise InvalidInput(what=str(file), reason="is not a mapping of names to values")

@@ -79,6 +79,14 @@ class People:
         """Return a link by which somebody chooses a new password, once; nothing is mailed. For admins."""
         return self._api.send("POST", f"/people/{person_id}/reset", OneTimeLink)
 
+    def reset_totp(self, person_id: uuid.UUID) -> None:
+        """Take somebody's second factor away, who lost their device and their recovery codes. For admins.
+
+        Raises:
+            NotFound: they have none.
+        """
+        self._api.delete(f"/people/{person_id}/totp")
+
 
 def _label(person: PersonRead) -> str:
     return f"{person.name} ({person.id})"

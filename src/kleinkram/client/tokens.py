@@ -23,6 +23,14 @@ class Reach:
     mission_ids: Sequence[uuid.UUID] = ()
 
 
+@dataclass(frozen=True)
+class RunnerLimits:
+    """Which runner a runner's token is for, None: the first that uses it; and the labels that its runs ask for."""
+
+    runner_id: uuid.UUID | None = None
+    labels: Sequence[str] = ()
+
+
 class Tokens:
     """`client.tokens`."""
 
@@ -37,19 +45,31 @@ class Tokens:
         scopes: Sequence[Scope] | None = None,
         reach: Reach | None = None,
         expires_at: datetime.datetime | None = None,
+        no_end: bool = False,
+        runner: RunnerLimits | None = None,
     ) -> TokenMade:
         """Make a token and return it with its secret, which can never be shown again.
 
         Without `scopes` it gets those usual for its kind: write for a person's, upload for a robot's, run for a
-        runner's.
+        runner's. Without `expires_at` it ends after the time that the server's settings name; `no_end` takes a server
+        that allows it.
 
         Raises:
             TokenTooWide: it could do more than the token of this client.
             NotFound: a project or mission to limit it to is not there.
             Forbidden: tokens for runners are made by admins.
+            SignInTooOld: it has the scope admin, and one signed in too long ago.
             InvalidInput: it is not one that can be; a robot's, for one, must be limited.
         """
-        given: dict[str, object] = {"name": name, "kind": kind, "expires_at": expires_at}
+        given: dict[str, object] = {"name": name, "kind": kind}
+        if expires_at is not None:
+            given["expires_at"] = expires_at
+        if no_end:
+            given["no_end"] = True
+        if runner is not None and runner.runner_id is not None:
+            given["runner_id"] = runner.runner_id
+        if runner is not None and runner.labels:
+            given["runner_labels"] = [*runner.labels]
         if scopes is not None:
             given["scopes"] = [*scopes]
         if reach is not None:

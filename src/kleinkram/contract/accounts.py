@@ -42,6 +42,8 @@ NewPassword = Annotated[
 ]
 # One that is only compared: whether it could be somebody's is no question of its form.
 GivenPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
+# A code of an authenticator app, or a recovery code; spaces and hyphens in it are nobody's business.
+SecondFactor = Annotated[str, AfterValidator(check_text), Field(min_length=6, max_length=40)]
 OneTimeCode = Annotated[str, Field(min_length=20, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")]
 UserCode = Annotated[str, Field(min_length=8, max_length=20, pattern=r"^[A-Za-z -]+$")]
 # A path of this server, to go to after signing in.
@@ -72,10 +74,45 @@ class SignInWays(_Told):
 
 
 class PasswordSignIn(_Asked):
-    """Sign in with a local account: `POST /auth/password`."""
+    """Sign in with a local account: `POST /auth/password`. `second_factor`: of an account that has one."""
 
     email: Annotated[str, AfterValidator(check_text), Field(max_length=254)]
     password: GivenPassword = Field(repr=False)
+    second_factor: SecondFactor | None = Field(default=None, repr=False)
+
+
+class PasswordAgain(_Asked):
+    """Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`."""
+
+    password: GivenPassword = Field(repr=False)
+    second_factor: SecondFactor | None = Field(default=None, repr=False)
+
+
+class TotpConfirm(_Asked):
+    """Take a second factor into use, by a code of it: `POST /me/totp/confirm`."""
+
+    code: SecondFactor = Field(repr=False)
+
+
+class TotpEnrolment(_Told):
+    """A secret for an authenticator app, as text, as `otpauth:` address, and as a picture (a `data:` address)."""
+
+    secret: str = Field(repr=False)
+    url: str = Field(repr=False)
+    qr: str = Field(repr=False)
+
+
+class RecoveryCodes(_Told):
+    """What stands for a code where the device is lost: each is good once, and nobody can show them again."""
+
+    codes: list[str] = Field(repr=False)
+
+
+class TotpRead(_Told):
+    """A second factor that is in use."""
+
+    enabled_at: datetime.datetime
+    recovery_codes_left: int
 
 
 class CodeSignIn(_Asked):
@@ -106,6 +143,7 @@ class PasswordReset(_Asked):
 
     code: OneTimeCode = Field(repr=False)
     password: NewPassword = Field(repr=False)
+    second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
 class PasswordChange(_Asked):
@@ -191,6 +229,7 @@ class AddressRead(_Told):
 class AccountRead(_Told):
     """One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
 
+    `totp`: the second factor beside the password, where one is in use.
     `has_password`: that one may sign in with; none is kept here of who comes by a provider alone.
     """
 
@@ -198,6 +237,7 @@ class AccountRead(_Told):
     addresses: list[AddressRead]
     affiliations: list[str]
     has_password: bool
+    totp: TotpRead | None = None
     created_at: datetime.datetime
 
 

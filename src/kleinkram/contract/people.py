@@ -65,6 +65,9 @@ class ServiceRead(BaseModel):
     public_url: str
     store_url: str
     store_origin: str
+    # A token that is made without an end is good for so long; `token_days_max` 0: a token may be good for ever.
+    token_days_default: int = 0
+    token_days_max: int = 0
     checksum: str
     has_local_accounts: bool
     viewers: list[ViewerRead]

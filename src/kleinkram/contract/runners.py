@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.actions import Network, ParameterValues, Resources
 from kleinkram.contract.names import Label
+from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
 from kleinkram.contract.runs import ActionRef, EndReason, RunState, Sample, Usage
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
@@ -77,8 +78,23 @@ class RunnerHello(BaseModel):
     version: Annotated[str, Field(max_length=64)]
 
 
+class RunnerToken(BaseModel):
+    """The token of a runner, and what it is limited to: runs on these projects, that ask for one of these labels.
+
+    `projects` and `labels` are null where it is not limited by them.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str
+    expires_at: datetime.datetime | None
+    projects: list[ProjectRef] | None
+    labels: list[str] | None
+
+
 class RunnerRead(BaseModel):
-    """A runner, as admins see it."""
+    """A runner, as admins see it. `token` is null until it says hello again after an update of the server."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -92,6 +108,7 @@ class RunnerRead(BaseModel):
     last_seen_at: datetime.datetime
     is_alive: bool
     active_runs: int
+    token: RunnerToken | None = None
 
 
 class ClaimAsk(BaseModel):

@@ -24,7 +24,11 @@ Places = Annotated[list[uuid.UUID], Field(max_length=100)]
 class TokenCreate(BaseModel):
     """A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
 
-    A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone.
+    A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone,
+    and for one runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with
+    `runner_labels` only runs that ask for one of them.
+
+    Without `expires_at` it ends after the time that the server's settings name. `no_end` takes a server that allows it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -35,6 +39,9 @@ class TokenCreate(BaseModel):
     project_ids: Places = []
     mission_ids: Places = []
     expires_at: Expiry | None = None
+    no_end: bool = False
+    runner_id: uuid.UUID | None = None
+    runner_labels: Annotated[list[Label], Field(min_length=1, max_length=50)] | None = None
 
     @property
     def chosen_scopes(self) -> list[Scope]:
@@ -54,8 +61,12 @@ class TokenCreate(BaseModel):
             raise ValueError("a robot's token must be limited to projects or missions")
         if self.kind is TokenKind.robot and Scope.admin in self.chosen_scopes:
             raise ValueError("a robot's token cannot have the scope admin")
-        if self.kind is TokenKind.runner and (self.is_limited or self.chosen_scopes != [Scope.run]):
-            raise ValueError("a runner's token has the scope run, no other and no limits")
+        if self.kind is TokenKind.runner and (self.mission_ids or self.chosen_scopes != [Scope.run]):
+            raise ValueError("a runner's token has the scope run and no other, and is limited to projects at most")
+        if self.kind is not TokenKind.runner and (self.runner_id or self.runner_labels):
+            raise ValueError("only a runner's token names a runner or labels")
+        if self.no_end and self.expires_at is not None:
+            raise ValueError("say expires_at or no_end, not both")
         return self
 
 
@@ -69,11 +80,20 @@ class TokenPlace(BaseModel):
     name: str | None
 
 
+class TokenRunner(BaseModel):
+    """The runner that a token is bound to. `name` is null until it has said hello."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: uuid.UUID
+    name: str | None
+
+
 class TokenRead(BaseModel):
     """A token without its secret; `prefix` is how that begins.
 
     `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
-    `last_used_at` is exact to a minute.
+    `last_used_at` is exact to a minute. `runner` is null of a runner's token that no runner has used yet.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -89,6 +109,8 @@ class TokenRead(BaseModel):
     expires_at: datetime.datetime | None
     last_used_at: datetime.datetime | None
     revoked_at: datetime.datetime | None
+    runner: TokenRunner | None = None
+    runner_labels: list[str] | None = None
 
 
 class TokenMade(BaseModel):

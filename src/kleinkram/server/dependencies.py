@@ -10,7 +10,8 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
 from kleinkram.server.access.few import knowing_few
-from kleinkram.server.access.rights import admit, is_door, still_shares
+from kleinkram.server.access.operations import OPERATIONS
+from kleinkram.server.access.rights import admit, is_door, require_fresh_sign_in, still_shares
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.places import named
 from kleinkram.server.db import Connection, Database
@@ -57,6 +58,8 @@ async def _actor(
     actor = who.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
+    if OPERATIONS[operation].fresh:
+        require_fresh_sign_in(actor, operation, within_s=request.app.state.settings.fresh_sign_in_s)
     has_text = not request.query_params.keys().isdisjoint({"text", "query"})
     await limit_expensive(database, request.app.state.settings, actor, has_text=has_text)
     if actor.is_admin and request.method == "GET":

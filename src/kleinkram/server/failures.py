@@ -33,11 +33,14 @@ from kleinkram.contract.errors import (
     RightExceeded,
     RunGone,
     ScopeMissing,
+    SecondFactorNeeded,
+    SecondFactorWrong,
     SignInDenied,
     SignInExpired,
     SignInFailed,
     SignInPending,
     SignInRefused,
+    SignInTooOld,
     SlowDown,
     StoreUnavailable,
     TokenTooWide,
@@ -58,6 +61,7 @@ _METADATA: tuple[Failure, ...] = (NameTaken, YamlInvalid, MetadataWrong)
 _GIVING: tuple[Failure, ...] = (RightExceeded, LastOwner)
 _MEMBERS: tuple[Failure, ...] = (GroupFixed, LastOwner, LastAdmin)
 _KNOCKING: tuple[Failure, ...] = (SignInFailed, SignInRefused, CodeGone, NotFound, RateLimited, SlowDown)
+_SECOND: tuple[Failure, ...] = (SecondFactorNeeded, SecondFactorWrong)
 
 # Beside what any operation may answer, and what follows from the right that it takes.
 FAILURES: dict[str, tuple[Failure, ...]] = {
@@ -101,8 +105,8 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "list_run_metrics": (InvalidCursor, NotFound),
     "list_runners": (InvalidCursor,),
     "say_hello": (Forbidden,),
-    "claim_run": (NotFound, TooManyStreams),
-    "beat": (NotFound,),
+    "claim_run": (NotFound, Forbidden, TooManyStreams),
+    "beat": (NotFound, Forbidden),
     "get_run_context": (RunGone,),
     "sign_inputs": (RunGone, NotFound),
     "sign_log_segment": (RunGone,),
@@ -135,16 +139,16 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "reactivate_person": (NotFound,),
     "list_trash": (InvalidCursor,),
     "restore_from_trash": (NameTaken, PathConflict, QuotaExceeded),
-    "create_token": (NotFound, Forbidden, TokenTooWide),
+    "create_token": (NotFound, Forbidden, TokenTooWide, SignInTooOld),
     "list_tokens": (Forbidden, InvalidCursor),
     "revoke_token": (NotFound,),
     "list_shares": (InvalidCursor,),
     "get_share": (NotFound,),
-    "sign_in_by_password": _KNOCKING,
+    "sign_in_by_password": (*_KNOCKING, *_SECOND),
     "sign_in_by_link": _KNOCKING,
     "look_at_code": (CodeGone, RateLimited),
     "accept_invitation": (*_KNOCKING, NameTaken),
-    "reset_password": _KNOCKING,
+    "reset_password": (*_KNOCKING, *_SECOND),
     "claim_server": (*_KNOCKING, NameTaken),
     "begin_provider_sign_in": (NotFound, ProviderUnavailable, RateLimited),
     "begin_device_login": (RateLimited,),
@@ -160,6 +164,13 @@ FAILURES: dict[str, tuple[Failure, ...]] = {
     "look_at_device_login": (CodeGone, RateLimited),
     "approve_device_login": (CodeGone, RateLimited),
     "deny_device_login": (CodeGone, RateLimited),
+    "prove_password_again": (*_KNOCKING, *_SECOND),
+    "begin_provider_sign_in_again": (NotFound, ProviderUnavailable, RateLimited),
+    "begin_totp": (Forbidden, NameTaken),
+    "confirm_totp": (NotFound, RateLimited, SecondFactorWrong),
+    "disable_totp": (NotFound,),
+    "renew_recovery_codes": (NotFound,),
+    "reset_totp": (NotFound,),
     "invite_person": (NameTaken, Forbidden),
     "create_reset_link": (NotFound, Forbidden),
     "list_audit_events": (InvalidCursor,),
@@ -177,6 +188,7 @@ def failures_of(operation: str, *, takes_input: bool, takes_body: bool) -> list[
         found += [NotFound, Forbidden]
     elif need.on is On.server:
         found += [Forbidden]
+    found += [SignInTooOld] if need.fresh else []
     found += [InvalidRequest] if takes_input else []
     found += [BodyTooLarge] if takes_body else []
     return list(dict.fromkeys(found))

@@ -198,6 +198,25 @@ class Settings(BaseSettings):
     login_token_days: Annotated[
         int, Field(ge=1, le=3650, description="How long a token that `klein login` gets is good for.")
     ] = 90
+    token_days_default: Annotated[
+        int, Field(ge=1, le=3650, description="How long a token is good for that is made without an end.")
+    ] = 90
+    token_days_max: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=3650,
+            description="How long a token may be good at most, and how long a runner's is by default; "
+            "0: any time, and for ever if that is asked for.",
+        ),
+    ] = 365
+    fresh_sign_in_s: Annotated[
+        Seconds,
+        Field(
+            description="How long after signing in one may change passwords, second factors and ways to sign in, and "
+            "make tokens with the scope admin, before one is asked to sign in again."
+        ),
+    ] = 900
     owner_link_s: Annotated[
         Seconds, Field(description="How long the link is good by which the owner of `klein up` signs in.")
     ] = 900

@@ -286,9 +286,13 @@ class Storage:
         quoted = file_name(path).encode("ascii", "replace").decode().replace('"', "_").replace("?", "_")
         query = {
             "response-content-disposition": f'attachment; filename="{quoted}"',
-            # Not what the uploader said: a browser would unpack what is said to be packed, and save other bytes.
+            # Every header that an uploader can have stored is replaced: a browser would unpack what is called packed,
+            # and a proxy would keep and hand to others what is called public.
             "response-content-encoding": "identity",
             "response-content-type": "application/octet-stream",
+            "response-content-language": "und",
+            "response-cache-control": "private",
+            "response-expires": "Thu, 01 Jan 1970 00:00:00 GMT",
         }
         return self._signers.public.sign("GET", key, query=query, headers={}, expires_s=expires_s)
 

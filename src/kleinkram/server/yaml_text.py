@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from pydantic import JsonValue
-from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.events import (
     AliasEvent,
@@ -28,6 +27,7 @@ from ruamel.yaml.reader import ReaderError
 
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.metadata import MAX_DEPTH, MAX_KEY_CHARACTERS, MAX_VALUES
+from kleinkram.recordings.yaml_depth import shallow_yaml
 
 _MAX_INT = 2**63 - 1
 _MAX_NUMBER_CHARACTERS = 400
@@ -76,7 +76,7 @@ def read_yaml(text: str) -> Document:
     Source: YAML 1.2.2, chapter 10.3, core schema.
     """
     try:
-        return _Builder(YAML(typ="safe", pure=True).parse(text)).document()
+        return _Builder(shallow_yaml("safe", max_depth=MAX_DEPTH).parse(text)).document()
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise _invalid(mark, error.problem or error.context or "it is not YAML") from error

@@ -51,7 +51,11 @@ def _is_known(part: RunnerPart, token: str) -> bool:
 
 def _make_token(part: RunnerPart) -> str:
     owner = Path(part.owner_token_file).read_text().strip()
-    status, answer = _ask(part, "POST", "/api/v1/tokens", owner, {"name": _NAME, "kind": "runner"})
+    wanted = {"name": _NAME, "kind": "runner"}
+    identity = Path(str(part.runner["data_dir"])) / "id"
+    if identity.exists():  # another token of this runner may still be good; one that names the runner replaces it
+        wanted["runner_id"] = identity.read_text().strip()
+    status, answer = _ask(part, "POST", "/api/v1/tokens", owner, wanted)
     if status >= http.client.MULTIPLE_CHOICES:
         sys.exit(f"Error: the API gives no token for a runner: {answer.decode(errors='replace')[:500]}")
     return str(json.loads(answer)["secret"])

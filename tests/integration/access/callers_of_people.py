@@ -6,8 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from kleinkram.contract.rights import Right, Scope
-from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.calling import (
     Caller,
@@ -212,6 +211,17 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     "deny_device_login": (Caller(post("/auth/device/deny", _code), About.server, passes="code_gone"),),
     "invite_person": (Caller(post("/people/invitations", lambda _: {"email": _new_email()}), About.server),),
     "create_reset_link": (Caller(post("/people/{hermit}/reset"), About.server),),
+    "reset_totp": (Caller(delete("/people/{hermit}/totp"), About.server, passes="not_found"),),
+    "prove_password_again": (
+        Caller(post("/auth/password/again", lambda _: {"password": "any"}), About.server, passes="sign_in_failed"),
+    ),
+    "begin_provider_sign_in_again": (
+        Caller(post("/auth/providers/none/again", lambda _: {}), About.server, passes="not_found"),
+    ),
+    "begin_totp": (Caller(post("/me/totp"), About.server, passes="forbidden"),),
+    "confirm_totp": (Caller(post("/me/totp/confirm", lambda _: {"code": "000000"}), About.server, passes="not_found"),),
+    "renew_recovery_codes": (Caller(post("/me/totp/recovery-codes"), About.server, passes="not_found"),),
+    "disable_totp": (Caller(delete("/me/totp"), About.server, passes="not_found"),),
 }
 # For whoever comes, with nothing to see but what they bring: tests/integration/auth say what they answer.
 DOORS = {

@@ -69,7 +69,7 @@ def test_only_a_hash_is_kept(api: Api) -> None:
         ({"kind": "robot"}, "limited"),
         ({"kind": "robot", "scopes": ["admin"], "project_ids": ["PROJECT"]}, "admin"),
         ({"kind": "runner", "scopes": ["run", "read"]}, "runner"),
-        ({"kind": "runner", "project_ids": ["PROJECT"]}, "runner"),
+        ({"kind": "runner", "mission_ids": ["6b1f8c52-6b0e-4f5e-9d43-0a54b1d3f0aa"]}, "runner"),
         ({"expires_at": "2020-01-01T00:00:00Z"}, "expires_at"),
         ({"scopes": []}, "scopes"),
         ({"name": ""}, "name"),
@@ -210,7 +210,11 @@ def test_what_a_token_made_ends_with_it(api: Api) -> None:
     ada = people.person(api)
     hers = api.as_(ada.token)
     stolen, other = _made(hers, scopes=["admin"]), _made(hers, scopes=["admin"])
+    # Made behind the server's back: a token that was made with another makes none with the scope admin any more.
+    stolen_id = stolen["token"]["id"]
+    api.sql("UPDATE token SET made_by_token_id = NULL WHERE id = %s", stolen_id)
     child = _made(api.as_(stolen["secret"]), scopes=["admin"], name="child")
+    api.sql("UPDATE token SET made_by_token_id = %s WHERE id = %s", ada.token_id, stolen_id)
     grandchild = _made(api.as_(child["secret"]), scopes=["read"], name="grandchild")
     hers.delete(f"/tokens/{stolen['token']['id']}").ok(204)
     for made in (stolen, child, grandchild):

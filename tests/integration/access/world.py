@@ -9,8 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kleinkram.contract.rights import Right, TokenKind
-from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach
 from tests.integration.access.expecting import Place

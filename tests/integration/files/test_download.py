@@ -40,19 +40,41 @@ def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mi
     assert (part.status, part.data) == (206, b"eco")
 
 
-def test_what_an_uploader_says_of_its_encoding_changes_nothing_for_a_browser(api: Api, mission: str) -> None:
-    # A browser unpacks what the store calls packed, and would save other bytes than those that were proven.
+def test_headers_that_an_uploader_sends_do_not_come_back(api: Api, mission: str) -> None:
+    # A browser unpacks what the store calls packed, and would save other bytes than those that were proven; a proxy
+    # keeps what it calls public.
     body = b"these bytes are not packed at all"
     (decision,) = begin(api, mission, {"a.mcap": body})
     (signed,) = sign(api, decision["upload"], [(1, body)]).ok()["items"]
-    said = {"Content-Encoding": "gzip", "Content-Type": "text/html"}
-    assert put(signed, body, {**signed["headers"], **said}) == 200
+    sent = {
+        "Content-Encoding": "gzip",
+        "Content-Type": "text/html",
+        "Content-Disposition": "inline; filename=evil.html",
+        "Content-Language": "xx-evil",
+        "Cache-Control": "public, max-age=31536000, immutable",
+        "Expires": "Wed, 21 Oct 2099 07:28:00 GMT",
+        "Link": "<https://evil.test>; rel=preload",
+        "Set-Cookie": "evil=1",
+        "Access-Control-Allow-Origin": "https://evil.test",
+    }
+    assert put(signed, body, {**signed["headers"], **sent}) == 200
     file_id = complete(api, decision["upload"], body)["file"]["id"]
     (link,) = api.post("/files/download", {"file_ids": [file_id]}).ok()["items"]
     answer = urllib3.request("GET", link["url"], timeout=30)
     assert answer.data == body
+    assert not [name for name, value in sent.items() if answer.headers.get(name) == value]
     assert answer.headers["Content-Encoding"] == "identity"
     assert answer.headers["Content-Type"] == "application/octet-stream"
+    assert answer.headers["Cache-Control"] == "private"
+    assert answer.headers["Content-Disposition"] == 'attachment; filename="a.mcap"'
+
+
+@pytest.mark.parametrize("name", ["x-amz-meta-note", "x-amz-acl", "x-amz-tagging", "x-amz-website-redirect-location"])
+def test_the_store_refuses_settings_of_the_object_that_were_not_signed(api: Api, mission: str, name: str) -> None:
+    body = uuid.uuid4().bytes
+    (decision,) = begin(api, mission, {"a.mcap": body})
+    (signed,) = sign(api, decision["upload"], [(1, body)]).ok()["items"]
+    assert put(signed, body, {**signed["headers"], name: "public-read"}) == 403
 
 
 def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: str) -> None:

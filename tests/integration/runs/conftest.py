@@ -114,6 +114,13 @@ def runner(lab: Api) -> Played:
     return played
 
 
+def another(lab: Api, like: Played) -> Played:
+    """Return a further runner with the same labels, and with a token of its own."""
+    admin = people.person(lab, admin=True)
+    token = people.token(lab, admin, [Scope.run], kind=TokenKind.runner)
+    return Played(lab.as_(token.secret), labels=like.labels)
+
+
 @dataclass(frozen=True)
 class Place:
     """A mission with two files."""

@@ -15,7 +15,7 @@ from kleinkram.server.storage import Storage
 from tests.integration import people
 from tests.integration.jobs import on_site
 from tests.integration.running import Api
-from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.runs.conftest import Place, Played, another, launch
 from tests.integration.uploading import crc64, send, sha256, wait_until
 
 
@@ -100,7 +100,7 @@ def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, plac
 def test_of_runners_that_ask_at_once_one_gets_a_run(lab: Api, runner: Played, place: Place) -> None:
     """Ten at once, forty runs: each is begun once."""
     runs = [launch(lab, runner, place.mission)["id"] for _ in range(40)]
-    runners = [Played(runner.api, labels=runner.labels) for _ in range(10)]
+    runners = [another(lab, runner) for _ in range(10)]
     for each in runners:
         each.hello()
     claimed: list[str] = []

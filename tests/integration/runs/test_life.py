@@ -3,7 +3,7 @@
 import uuid
 
 from tests.integration.running import Api
-from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.runs.conftest import Place, Played, another, launch
 from tests.integration.uploading import fetch, sha256
 
 
@@ -64,7 +64,7 @@ def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Plac
     first = runner.claim()
     runner.leave(first, "half", b"half a result")
     _let_lapse(lab, made["id"])
-    other = Played(runner.api, labels=runner.labels)
+    other = another(lab, runner)
     other.hello()
     second = other.claim()
     assert (second["run_id"], second["attempt"]) == (made["id"], 2)
@@ -103,7 +103,7 @@ def test_what_a_silent_runner_holds_for_long_can_be_cancelled(lab: Api, runner: 
     made = launch(lab, runner, place.mission)
     runner.beat(runner.claim(), "collecting")
     assert lab.post(f"/runs/{made['id']}/cancel").ok()["state"] == "collecting"
-    other = Played(runner.api, labels=runner.labels)
+    other = another(lab, runner)
     other.hello()
     assert other.claim() is None
     assert lab.get(f"/runs/{made['id']}").ok()["state"] == "collecting", "its runner was heard a moment ago"

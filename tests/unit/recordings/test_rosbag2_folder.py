@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -315,3 +316,10 @@ def test_merge_keys_do_not_unfold() -> None:
 def test_a_value_that_is_no_number_is_left_out(value: str) -> None:
     stated = parse_rosbag2_metadata(f"rosbag2_bagfile_information: {{version: 4, message_count: {value}}}")
     assert stated is None or (stated.version, stated.message_count) == (4, None)
+
+
+@pytest.mark.parametrize("text", ["[" * 4_000_000, "rosbag2_bagfile_information:\n  x: " + "[" * 3000, "- " * 100_000])
+def test_metadata_of_deep_brackets_are_given_up_at_once(text: str) -> None:
+    began = time.process_time()
+    assert parse_rosbag2_metadata(text) is None
+    assert time.process_time() - began < 1

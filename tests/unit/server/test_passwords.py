@@ -51,3 +51,31 @@ def test_one_s_name_and_address_are_no_passwords(obvious: str) -> None:
     with pytest.raises(InvalidRequest, match="name or address"):
         refuse_obvious(obvious, field="password", about=("Ada Lovelace", "ada@lab.example", None))
     refuse_obvious(_GIVEN, field="password", about=("Ada Lovelace", "ada@lab.example", None))
+
+
+@pytest.mark.parametrize(
+    "known",
+    [
+        "password12",
+        "1234567890",
+        "qwertyuiop",
+        "kleinkram2026",
+        "iloveyou2024",
+        "p4ssw0rdp4ssw0rd",
+        "a" * 200,
+        "AdaLovelace-1815",
+        "ada@lab.example!",
+        "winterthur",
+    ],
+)
+async def test_known_and_trivial_passwords_are_refused_with_a_sentence(known: str) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        await Passwords().hash_new(known, field="password", about=("Ada Lovelace", "ada@lab.example"))
+    (problem,) = refused.value.problems
+    assert problem.field == "password"
+    assert "choose another" in problem.message.casefold()
+
+
+@pytest.mark.parametrize("good", [_GIVEN, "xK9#mQ2$vLw", "glacier teapot violin"])
+async def test_good_passwords_are_taken(good: str) -> None:
+    assert (await Passwords().hash_new(good, field="password", about=("Ada Lovelace", None))).startswith("$argon2id$")

@@ -1,13 +1,14 @@
 """Reading YAML from strangers: whatever the text, plain values or a place where it went wrong."""
 
 import math
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kleinkram.contract.errors import YamlInvalid
-from kleinkram.contract.metadata import MAX_VALUES
+from kleinkram.contract.metadata import MAX_DEPTH, MAX_VALUES
 from kleinkram.server.yaml_text import Place, read_yaml
 
 # fmt: off
@@ -91,3 +92,20 @@ def test_every_value_has_its_place() -> None:
 def test_what_would_grow_without_bound_is_given_up(text: str) -> None:
     with pytest.raises(YamlInvalid):
         read_yaml(text)
+
+
+@pytest.mark.parametrize("opening", ["[", "{", "{a: ", "[{a: ", "- ", "? ", "a: [", "- {b: "])
+def test_a_thousand_open_brackets_are_refused_in_milliseconds(opening: str) -> None:
+    began = time.process_time()
+    refusal = _refusal(opening * 1000)
+    took_s = time.process_time() - began
+    assert refusal is not None
+    assert took_s < 0.05
+
+
+@pytest.mark.parametrize(("text", "column"), [("[" * 1000, 22), ("a: " + "[" * 1000, 24), ("- " * 1000, 43)])
+def test_nesting_is_refused_where_it_goes_too_deep(text: str, column: int) -> None:
+    refusal = _refusal(text)
+    assert refusal is not None
+    assert (refusal.line, refusal.column) == (1, column)
+    assert f"more than {MAX_DEPTH} levels" in refusal.reason

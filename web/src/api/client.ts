@@ -6,20 +6,25 @@ import { problemOf, toProblem } from "./problem";
 import { signInAgain } from "./signing-in";
 
 const NOT_AUTHENTICATED = 401;
+const FORBIDDEN = 403;
 
-/** Sends a request; where the session has ended meanwhile, waits until one has signed in again, then sends it anew. */
+/** Sends a request; where it takes to sign in again, waits until that is done, then sends it anew. */
 async function send(request: Request): Promise<Response> {
   const again = request.clone();
   const answer = await fetch(request);
-  if (!(await hasEnded(answer)) || !(await signInAgain())) return answer;
+  const why = await whySignInAgain(answer);
+  if (why === null || !(await signInAgain(why))) return answer;
   return fetch(again);
 }
 
-/** Says whether an answer is that of a session which has ended: a password that is wrong is refused with 401 as well. */
-async function hasEnded(answer: Response): Promise<boolean> {
-  if (answer.status !== NOT_AUTHENTICATED) return false;
+/** Says whether the session has ended (a wrong password or code is refused with 401 as well), or began too long ago. */
+async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | null> {
+  if (answer.status !== NOT_AUTHENTICATED && answer.status !== FORBIDDEN) return null;
   const told: unknown = await answer.clone().json().catch(() => null);
-  return !(typeof told === "object" && told !== null && "code" in told && told.code === "sign_in_failed");
+  const code = typeof told === "object" && told !== null && "code" in told ? told.code : "";
+  if (code === "sign_in_too_old") return "too old";
+  const isWrong = code === "sign_in_failed" || code === "second_factor_needed" || code === "second_factor_wrong";
+  return answer.status === NOT_AUTHENTICATED && !isWrong ? "ended" : null;
 }
 
 /** The API, one method a verb: `call(api.GET("/api/v1/projects", { params }))`. */

@@ -497,6 +497,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/auth/password/again": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Prove Password Again
+         * @description Prove once more who one is, so that this browser may do what takes a fresh sign-in.
+         */
+        post: operations["prove_password_again"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/auth/password/change": {
         parameters: {
             query?: never;
@@ -531,6 +551,26 @@ export interface paths {
          * @description Begin to sign in by a provider: the browser goes where this says.
          */
         post: operations["begin_provider_sign_in"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/providers/{name}/again": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Provider Sign In Again
+         * @description Begin to prove once more who one is, by a provider, which is asked to ask for the password anew.
+         */
+        post: operations["begin_provider_sign_in_again"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1072,6 +1112,70 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/me/totp": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Totp
+         * @description Make a secret for an authenticator app; it is in use once a code of it was confirmed.
+         */
+        post: operations["begin_totp"];
+        /**
+         * Disable Totp
+         * @description Sign in with the password alone from now on.
+         */
+        delete: operations["disable_totp"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me/totp/confirm": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Confirm Totp
+         * @description Take a second factor into use; one's other browsers are signed out. The recovery codes are shown this once.
+         */
+        post: operations["confirm_totp"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me/totp/recovery-codes": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Renew Recovery Codes
+         * @description Make new recovery codes in place of those from before.
+         */
+        post: operations["renew_recovery_codes"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions": {
         parameters: {
             query?: never;
@@ -1433,6 +1537,26 @@ export interface paths {
          */
         post: operations["create_reset_link"];
         delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/people/{person_id}/totp": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Reset Totp
+         * @description Take somebody's second factor away, who lost their device and their recovery codes.
+         */
+        delete: operations["reset_totp"];
         options?: never;
         head?: never;
         patch?: never;
@@ -2385,6 +2509,7 @@ export interface components {
          * AccountRead
          * @description One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
          *
+         *     `totp`: the second factor beside the password, where one is in use.
          *     `has_password`: that one may sign in with; none is kept here of who comes by a provider alone.
          */
         AccountRead: {
@@ -2400,6 +2525,7 @@ export interface components {
             /** Has Password */
             has_password: boolean;
             person: components["schemas"]["PersonRef"];
+            totp?: components["schemas"]["TotpRead"] | null;
         };
         /**
          * ActionCreate
@@ -3232,7 +3358,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3340,9 +3466,8 @@ export interface components {
          *
          *     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
          *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
-         *     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
-         *     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
-         *     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
+         *     Quotes in `text` make several words one. `month` is the one in which the recording began, UTC. `without` are terms
+         *     of the query language (see the page on searching) of which none may hold.
          */
         FileFilter: {
             /**
@@ -3378,11 +3503,6 @@ export interface components {
             /** Mission Id */
             mission_id?: string | null;
             /**
-             * Missions
-             * @default []
-             */
-            missions: string[];
-            /**
              * Month
              * @default []
              */
@@ -3396,11 +3516,6 @@ export interface components {
             project?: string | null;
             /** Project Id */
             project_id?: string | null;
-            /**
-             * Projects
-             * @default []
-             */
-            projects: string[];
             /** Recorded After */
             recorded_after?: string | null;
             /** Recorded Before */
@@ -4348,18 +4463,12 @@ export interface components {
          * MissionUpdate
          * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
          *
-         *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
-         *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
+         *     `metadata_yaml` is all metadata anew. `metadata` changes the fields that it names, null takes one away, and the
          *     document that said all is dropped.
          */
         MissionUpdate: {
             /** Completed */
             completed?: boolean | null;
-            /**
-             * Merge Yaml
-             * @default false
-             */
-            merge_yaml: boolean;
             /** Metadata */
             metadata?: {
                 [key: string]: components["schemas"]["JsonValue"];
@@ -4714,6 +4823,16 @@ export interface components {
             upload_id: string;
         };
         /**
+         * PasswordAgain
+         * @description Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`.
+         */
+        PasswordAgain: {
+            /** Password */
+            password: string;
+            /** Second Factor */
+            second_factor?: string | null;
+        };
+        /**
          * PasswordChange
          * @description Choose a new password: `POST /auth/password/change`. Other browsers are signed out.
          */
@@ -4732,16 +4851,20 @@ export interface components {
             code: string;
             /** Password */
             password: string;
+            /** Second Factor */
+            second_factor?: string | null;
         };
         /**
          * PasswordSignIn
-         * @description Sign in with a local account: `POST /auth/password`.
+         * @description Sign in with a local account: `POST /auth/password`. `second_factor`: of an account that has one.
          */
         PasswordSignIn: {
             /** Email */
             email: string;
             /** Password */
             password: string;
+            /** Second Factor */
+            second_factor?: string | null;
         };
         /**
          * PersonRead
@@ -5085,6 +5208,14 @@ export interface components {
             name: string;
         };
         /**
+         * RecoveryCodes
+         * @description What stands for a code where the device is lost: each is good once, and nobody can show them again.
+         */
+        RecoveryCodes: {
+            /** Codes */
+            codes: string[];
+        };
+        /**
          * Refused
          * @description This file cannot be uploaded; the others can.
          */
@@ -5381,7 +5512,7 @@ export interface components {
         };
         /**
          * RunnerRead
-         * @description A runner, as admins see it.
+         * @description A runner, as admins see it. `token` is null until it says hello again after an update of the server.
          */
         RunnerRead: {
             abilities: components["schemas"]["Abilities"];
@@ -5406,8 +5537,30 @@ export interface components {
             name: string;
             /** Stock Image */
             stock_image: string | null;
+            token?: components["schemas"]["RunnerToken"] | null;
             /** Version */
             version: string;
+        };
+        /**
+         * RunnerToken
+         * @description The token of a runner, and what it is limited to: runs on these projects, that ask for one of these labels.
+         *
+         *     `projects` and `labels` are null where it is not limited by them.
+         */
+        RunnerToken: {
+            /** Expires At */
+            expires_at: string | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Labels */
+            labels: string[] | null;
+            /** Name */
+            name: string;
+            /** Projects */
+            projects: components["schemas"]["ProjectRef"][] | null;
         };
         /**
          * RunRead
@@ -5732,6 +5885,16 @@ export interface components {
             store_origin: string;
             /** Store Url */
             store_url: string;
+            /**
+             * Token Days Default
+             * @default 0
+             */
+            token_days_default: number;
+            /**
+             * Token Days Max
+             * @default 0
+             */
+            token_days_max: number;
             /** Version */
             version: string;
             /** Viewers */
@@ -6027,7 +6190,11 @@ export interface components {
          * TokenCreate
          * @description A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
          *
-         *     A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone.
+         *     A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone,
+         *     and for one runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with
+         *     `runner_labels` only runs that ask for one of them.
+         *
+         *     Without `expires_at` it ends after the time that the server's settings name. `no_end` takes a server that allows it.
          */
         TokenCreate: {
             /** Expires At */
@@ -6042,10 +6209,19 @@ export interface components {
             /** Name */
             name: string;
             /**
+             * No End
+             * @default false
+             */
+            no_end: boolean;
+            /**
              * Project Ids
              * @default []
              */
             project_ids: string[];
+            /** Runner Id */
+            runner_id?: string | null;
+            /** Runner Labels */
+            runner_labels?: string[] | null;
             /** Scopes */
             scopes?: components["schemas"]["Scope"][] | null;
         };
@@ -6084,7 +6260,7 @@ export interface components {
          * @description A token without its secret; `prefix` is how that begins.
          *
          *     `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
-         *     `last_used_at` is exact to a minute.
+         *     `last_used_at` is exact to a minute. `runner` is null of a runner's token that no runner has used yet.
          */
         TokenRead: {
             /**
@@ -6111,8 +6287,24 @@ export interface components {
             prefix: string;
             /** Revoked At */
             revoked_at: string | null;
+            runner?: components["schemas"]["TokenRunner"] | null;
+            /** Runner Labels */
+            runner_labels?: string[] | null;
             /** Scopes */
             scopes: components["schemas"]["Scope"][];
+        };
+        /**
+         * TokenRunner
+         * @description The runner that a token is bound to. `name` is null until it has said hello.
+         */
+        TokenRunner: {
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Name */
+            name: string | null;
         };
         /**
          * TopicFound
@@ -6169,6 +6361,39 @@ export interface components {
             stored_bytes: number | null;
             /** Tail Gap Ns */
             tail_gap_ns: number | null;
+        };
+        /**
+         * TotpConfirm
+         * @description Take a second factor into use, by a code of it: `POST /me/totp/confirm`.
+         */
+        TotpConfirm: {
+            /** Code */
+            code: string;
+        };
+        /**
+         * TotpEnrolment
+         * @description A secret for an authenticator app, as text, as `otpauth:` address, and as a picture (a `data:` address).
+         */
+        TotpEnrolment: {
+            /** Qr */
+            qr: string;
+            /** Secret */
+            secret: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * TotpRead
+         * @description A second factor that is in use.
+         */
+        TotpRead: {
+            /**
+             * Enabled At
+             * Format: date-time
+             */
+            enabled_at: string;
+            /** Recovery Codes Left */
+            recovery_codes_left: number;
         };
         /**
          * TrashNoun
@@ -7378,14 +7603,12 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
-                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
-                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -7468,14 +7691,12 @@ export interface operations {
             query?: {
                 as_admin?: boolean | null;
                 mission_id?: string | null;
-                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
-                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -7707,7 +7928,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -8073,7 +8294,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -8732,7 +8953,110 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure, by its code: not_authenticated, sign_in_failed. */
+            /** @description A failure, by its code: not_authenticated, sign_in_failed, second_factor_needed, second_factor_wrong. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, sign_in_refused. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: code_gone. */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: rate_limited, slow_down. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    prove_password_again: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PasswordAgain"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure, by its code: not_authenticated, sign_in_failed, second_factor_needed, second_factor_wrong. */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8844,7 +9168,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, sign_in_refused. */
+            /** @description A failure, by its code: scope_missing, sign_in_refused, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -9016,7 +9340,7 @@ export interface operations {
             };
         };
     };
-    link_provider: {
+    begin_provider_sign_in_again: {
         parameters: {
             query?: never;
             header?: never;
@@ -9114,6 +9438,104 @@ export interface operations {
             };
         };
     };
+    link_provider: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ProviderBegin"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProviderBegun"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: rate_limited. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable, provider_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     reset_password: {
         parameters: {
             query?: never;
@@ -9136,7 +9558,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure, by its code: not_authenticated, sign_in_failed. */
+            /** @description A failure, by its code: not_authenticated, sign_in_failed, second_factor_needed, second_factor_wrong. */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9426,12 +9848,10 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
-                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
-                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -10227,9 +10647,7 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
-                mission_ids?: string[];
                 project_id?: string | null;
-                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -11312,7 +11730,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -11564,6 +11982,295 @@ export interface operations {
             };
         };
     };
+    begin_totp: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TotpEnrolment"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden, sign_in_too_old. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: name_taken. */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    disable_totp: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    confirm_totp: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TotpConfirm"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecoveryCodes"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated, second_factor_wrong. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: body_too_large. */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: rate_limited. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    renew_recovery_codes: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecoveryCodes"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, sign_in_too_old. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_missions: {
         parameters: {
             query?: {
@@ -11572,11 +12279,9 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 message_type?: string[];
-                missions?: string[];
                 name?: string | null;
                 project?: string | null;
                 project_id?: string | null;
-                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -13505,6 +14210,80 @@ export interface operations {
             };
         };
     };
+    reset_totp: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                person_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: not_found. */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: invalid_request. */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     invite_person: {
         parameters: {
             query?: never;
@@ -14809,9 +15588,7 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
-                mission_ids?: string[];
                 project_id?: string | null;
-                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -15595,7 +16372,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, forbidden. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -15684,7 +16461,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing. */
+            /** @description A failure, by its code: scope_missing, forbidden. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -15751,9 +16528,7 @@ export interface operations {
                 limit?: number;
                 mine?: boolean;
                 mission_id?: string | null;
-                mission_ids?: string[];
                 project_id?: string | null;
-                project_ids?: string[];
                 state?: components["schemas"]["RunState"][];
             };
             header?: never;
@@ -16912,12 +17687,10 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
-                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
-                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -17101,7 +17874,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, forbidden, token_too_wide. */
+            /** @description A failure, by its code: scope_missing, forbidden, token_too_wide, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -17249,12 +18022,10 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
-                missions?: string[];
                 month?: string[];
                 path?: string[];
                 project?: string | null;
                 project_id?: string | null;
-                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;

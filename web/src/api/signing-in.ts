@@ -9,9 +9,13 @@ type Outcome = (isSignedIn: boolean) => void;
 let wasSignedIn = false;
 let waiting: Outcome[] = [];
 const asking = ref(false);
+const tooOld = ref(false);
 
 /** Whether requests wait for somebody to sign in again. */
 export const isAskingToSignIn = readonly(asking);
+
+/** Whether they are signed in still, and only too long ago for what they want to do. */
+export const isSignInTooOld = readonly(tooOld);
 
 /** Remembers that somebody was signed in on this page: from now on a refused request is one whose session has ended. */
 export function noteSignedIn(isSignedIn: boolean): void {
@@ -19,8 +23,9 @@ export function noteSignedIn(isSignedIn: boolean): void {
 }
 
 /** Waits until somebody has signed in again. Says no at once where nobody had been, and when they decline. */
-export function signInAgain(): Promise<boolean> {
+export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean> {
   if (!wasSignedIn) return Promise.resolve(false);
+  if (!asking.value) tooOld.value = why === "too old";
   asking.value = true;
   return new Promise((resolve) => waiting.push(resolve));
 }
@@ -30,7 +35,8 @@ export function settle(isSignedIn: boolean): void {
   const waited = waiting;
   waiting = [];
   asking.value = false;
-  if (!isSignedIn) wasSignedIn = false;
+  if (!isSignedIn && !tooOld.value) wasSignedIn = false;
+  tooOld.value = false;
   for (const outcome of waited) outcome(isSignedIn);
 }
 
@@ -49,6 +55,6 @@ export function onSignedIn(callback: () => void): () => void {
 }
 
 /** Returns where one signs in, and comes back from to a page of the app. */
-export function signInAddress(returnTo: string): string {
-  return `/sign-in?${new URLSearchParams({ return_to: returnTo }).toString()}`;
+export function signInAddress(returnTo: string, again = false): string {
+  return `/sign-in?${new URLSearchParams({ return_to: returnTo, ...(again ? { again: "1" } : {}) }).toString()}`;
 }

@@ -37,10 +37,17 @@ export const texts = {
   messages: "Messages",
   offline: "The server does not answer. What is shown may be old; it is tried again by itself.",
   session: {
-    title: "Your session has ended",
-    text: "Nothing on this page is lost. Sign in in the window that opens, then this page goes on where it was.",
+    ended: {
+      title: "Your session has ended",
+      text: "Nothing on this page is lost. Sign in in the window that opens, then this page goes on where it was.",
+      leave: "Go on without",
+    },
+    tooOld: {
+      title: "Sign in again for this",
+      text: "This change asks for a recent sign-in. Sign in in the window that opens, then it is made.",
+      leave: "Cancel",
+    },
     signIn: "Sign in in a new window",
-    leave: "Go on without",
     other: (now: string, before: string) =>
       `That window signed in ${now}, but this page is ${before}’s. Sign in as ${before}, or load the page anew.`,
     reload: "Load the page anew",

@@ -92,3 +92,31 @@ class LastWayIn(KleinkramError):
     code = ErrorCode.last_way_in
     status = 409
     provider: str
+
+
+@dataclass(eq=False)
+class SignInTooOld(KleinkramError):
+    """To {operation}, sign in again: that was more than {minutes:g} minutes ago, or is not known of this token. In a browser, the page asks for it; in a terminal, run `klein login` and repeat the command."""  # noqa: E501  one sentence
+
+    code = ErrorCode.sign_in_too_old
+    status = 403
+    operation: str
+    minutes: float
+
+
+@dataclass(eq=False)
+class SecondFactorNeeded(KleinkramError):
+    """This account also needs a code from its authenticator app, or one of its recovery codes."""
+
+    code = ErrorCode.second_factor_needed
+    status = 401
+
+
+@dataclass(eq=False)
+class SecondFactorWrong(KleinkramError):
+    """The code is wrong, was used before, or is too old. Wait for the next one; after {most} wrong codes none is taken for {minutes:g} minutes. An admin can switch the second factor off for you."""  # noqa: E501  one sentence
+
+    code = ErrorCode.second_factor_wrong
+    status = 401
+    most: int
+    minutes: float

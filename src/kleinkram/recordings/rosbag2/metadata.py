@@ -12,6 +12,8 @@ MAX_TEXT = 4 * 2**20
 _MOST_ENTRIES = 100_000
 _TOP = "rosbag2_bagfile_information"
 _MOST_DIGITS = 20
+# The deepest that a recorder writes is 6.
+_MAX_DEPTH = 50
 _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 
@@ -76,12 +78,13 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
     """
     if len(text) > MAX_TEXT:
         return None
-    from ruamel.yaml import YAML  # slow to import, and rarely needed
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.error import YAMLError  # slow to import, and rarely needed
+
+    from kleinkram.recordings.yaml_depth import shallow_yaml
 
     try:
         # "base" leaves each scalar a text and "<<" a key: merge keys, which can unfold without end, do nothing.
-        document = YAML(typ="base", pure=True).load(text)
+        document = shallow_yaml("base", max_depth=_MAX_DEPTH).load(text)
     except (YAMLError, ValueError, TypeError, RecursionError, AttributeError, ArithmeticError, LookupError):
         return None
     if _mapping(document) and _TOP not in _mapping(document):

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, bindparam, exists, func, or_, select, update
+from sqlalchemy import ColumnElement, Row, Select, bindparam, case, exists, func, or_, select, update
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right, Scope, TokenKind
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.access.looked import NOTHING_LOOKED_UP, Looked
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
@@ -63,6 +63,11 @@ class Actor:
     # A run, by its own token: with no more than this right, whatever whoever started it holds.
     run_id: uuid.UUID | None = None
     most: Right | None = None
+    # The runner that this runner's token is bound to; None until one has used it.
+    runner_id: uuid.UUID | None = None
+    # Seconds since they last proved who they are: by signing in, or by `klein login` for the token that came of it.
+    # None where that is not known, as of a token that was made with another.
+    sign_in_age_s: float | None = None
     # The row of the table of operations under which this request came in.
     operation: str | None = None
     # All missions that they see, where that was asked and these are few; or that they see many.
@@ -121,14 +126,18 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
 async def find_signed_in(db: Connection, secret: str, *, idle_s: float) -> Actor | None:
     """Return whose browser's session it is, or None where it is unknown, over, revoked or idle, or they left."""
     known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
-    stmt = _people(session.c.id.label("session_id"), _is_unnoted(session.c.last_used_at)).join_from(session, person)
+    age = _age_s(session.c.authenticated_at).label("sign_in_age_s")
+    stmt = _people(session.c.id.label("session_id"), age, _is_unnoted(session.c.last_used_at)).join_from(
+        session, person
+    )
     in_use = session.c.last_used_at > func.now() - datetime.timedelta(seconds=idle_s)
     row = (await db.execute(stmt.where(known, in_use, session.c.expires_at > func.now()))).one_or_none()
     if row is None:
         return None
     if row.use_is_unnoted:
         await db.execute(update(session).where(session.c.id == row.session_id).values(last_used_at=func.now()))
-    return Actor(row.id, row.name, None, None, session_id=row.session_id, is_admin=row.is_admin)
+    age_s = float(row.sign_in_age_s)
+    return Actor(row.id, row.name, None, None, session_id=row.session_id, is_admin=row.is_admin, sign_in_age_s=age_s)
 
 
 async def find_person(db: Connection, person_id: uuid.UUID) -> Actor | None:
@@ -165,6 +174,8 @@ def _by_token() -> Select[Any]:
         token.c.is_limited,
         token.c.run_id,
         token.c.most,
+        token.c.runner_id,
+        _token_sign_in_age_s().label("sign_in_age_s"),
         limits(token_limit.c.project_id).label("project_ids"),
         limits(token_limit.c.mission_id).label("mission_ids"),
     )
@@ -188,7 +199,20 @@ def _carrier(row: Row[Any]) -> Actor:
         limits=limits,
         run_id=row.run_id,
         most=None if row.most is None else Right(row.most),
+        runner_id=row.runner_id,
+        sign_in_age_s=None if row.sign_in_age_s is None else float(row.sign_in_age_s),
     )
+
+
+def _age_s(at: ColumnElement[Any]) -> ColumnElement[Any]:
+    return func.extract("epoch", func.now() - at)
+
+
+def _token_sign_in_age_s() -> ColumnElement[Any]:
+    # Whoever has the file of the owner of `klein up` can have a link to sign in at any time.
+    is_owners_file = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME)
+    from_sign_in = token.c.made_by_token_id.is_(None) & (token.c.kind == TokenKind.personal.value)
+    return case((from_sign_in & is_owners_file, 0), (from_sign_in, _age_s(token.c.created_at)))
 
 
 @cache

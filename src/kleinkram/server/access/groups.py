@@ -14,6 +14,9 @@ from kleinkram.server.tables import access_grant, access_group, membership, pers
 
 # Fixed, and made with the schema.
 ADMINS_ID = uuid.UUID("61646d69-6e73-4000-8000-000000000001")
+# The local owner of `klein up`. Fixed, so that every start finds the same person without a search by name.
+OWNER_ID = uuid.UUID("6f776e65-7200-4000-8000-000000000001")
+OWNER_TOKEN_NAME = "local owner"  # noqa: S105  the token's label, not its secret
 
 
 async def add_person(db: Connection, *, name: str, person_id: uuid.UUID | None = None) -> uuid.UUID:

@@ -26,6 +26,7 @@ class Need:
     `runners`: also of a runner, for the runs that it holds, whatever its scopes; `only_runners`: of nobody else.
     `reads`: a token must carry the scope read as well.
     `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
+    `fresh`: only for a while after signing in.
     `boundless`: only by a credential without limits, since it is about all that its person has.
     """
 
@@ -38,6 +39,7 @@ class Need:
     reads: bool = False
     browsers: bool = False
     boundless: bool = False
+    fresh: bool = False
 
 
 _NAMES = frozenset({Scope.read, Scope.upload})
@@ -196,17 +198,24 @@ OPERATIONS: dict[str, Need] = {
     "end_all_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
     "get_account": Need(On.nothing, None, _ADMIN, boundless=True),
     "list_identities": Need(On.nothing, None, _ADMIN, boundless=True),
-    "unlink_identity": Need(On.nothing, None, _ADMIN, boundless=True),
+    "unlink_identity": Need(On.nothing, None, _ADMIN, boundless=True, fresh=True),
     "create_owner_link": Need(On.server, None, _ADMIN),
-    "change_password": Need(On.nothing, None, _ADMIN, browsers=True),
-    "link_provider": Need(On.nothing, None, _ADMIN, browsers=True),
-    "approve_cli_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "change_password": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "link_provider": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "approve_cli_login": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     "look_at_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
-    "approve_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "approve_device_login": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     "deny_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
+    "prove_password_again": Need(On.nothing, None, _ADMIN, browsers=True),
+    "begin_provider_sign_in_again": Need(On.nothing, None, _ADMIN, browsers=True),
+    "begin_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "confirm_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "disable_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "renew_recovery_codes": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     # Accounts
     "invite_person": Need(On.server, None, _ADMIN),
     "create_reset_link": Need(On.server, None, _ADMIN),
+    "reset_totp": Need(On.server, None, _ADMIN),
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),

@@ -14,17 +14,14 @@ from sqlalchemy import func, insert, select, update
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.server.access.actor import secret_hash
-from kleinkram.server.access.groups import add_person, make_admin
+from kleinkram.server.access.groups import OWNER_ID, OWNER_TOKEN_NAME, add_person, make_admin
 from kleinkram.server.access.secrets import beginning, new_secret
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import person, token
 
 _log = logging.getLogger("kleinkram.owner")
-# Fixed, so that every start finds the same person without a search by name.
-OWNER_ID = uuid.UUID("6f776e65-7200-4000-8000-000000000001")
 OWNER_NAME = "owner"
-_TOKEN_NAME = "local owner"  # noqa: S105  the token's label, not its secret
 
 
 async def let_owner_in(db: Connection, token_file: Path) -> None:
@@ -58,14 +55,14 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     held = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
     if held is not None:
         return held.revoked_at is None
-    stale = (token.c.person_id == OWNER_ID) & (token.c.name == _TOKEN_NAME) & token.c.revoked_at.is_(None)
+    stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
     revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
     made = uuid.uuid4()
-    values = {"id": made, "person_id": OWNER_ID, "name": _TOKEN_NAME, "secret_sha256": secret}
+    values = {"id": made, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
     values |= {"prefix": beginning(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
-    events = [Event("token.revoke", "token", token_id, _TOKEN_NAME, None) for token_id in revoked.scalars()]
-    await record(db, None, *events, Event("token.create", "token", made, _TOKEN_NAME, None))
+    events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
+    await record(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
     return True
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Row, Select, bindparam, func, select
 
-from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing
+from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing, SignInTooOld
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, On
@@ -46,6 +46,16 @@ def admit(actor: Actor, operation: str) -> None:
         raise Forbidden(noun="server", operation=_words(operation), needs="an admin")
     if (need.boundless or need.on is On.server) and actor.limits is not None:
         raise ScopeMissing(operation=_words(operation), scopes="a credential without limits")
+
+
+def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> None:
+    """See that `actor` proved who they are a short while ago.
+
+    Raises:
+        SignInTooOld: it is longer ago, or not known.
+    """
+    if actor.sign_in_age_s is None or actor.sign_in_age_s > within_s:
+        raise SignInTooOld(operation=_words(operation), minutes=round(within_s / 60, 1))
 
 
 def is_door(operation: str) -> bool:

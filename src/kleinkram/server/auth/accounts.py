@@ -7,6 +7,7 @@ is linked again by who is signed in, never by itself. Whoever's address is not p
 is the same whether it has an account or not.
 """
 
+import time
 import uuid
 
 from sqlalchemy import ColumnElement, exists, func, select, update
@@ -21,11 +22,14 @@ from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.codes import good_still
 from kleinkram.server.auth.providers import Vouched
+from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import OidcProvider, OpenTo
 from kleinkram.server.tables import identity, one_time_code, person, person_email
 from kleinkram.server.tables.signing_in import CodePurpose
 
+# How long ago somebody may have given their password to a provider that was asked to ask for it: the way back lasts.
+_LATELY_S = 900
 # Two first sign-ins of one person are one after the other: the second finds the account of the first.
 _MAKING = 0x6B6C4143
 
@@ -71,6 +75,20 @@ async def link_identity(db: Connection, actor: Actor, *, vouched: Vouched, provi
     address = _address(vouched)
     if actor.person_id is not None and _is_trusted(vouched, address, provider):
         await _prove(db, actor.person_id, address, provider)
+
+
+async def renew_sign_in(db: Connection, actor: Actor, *, vouched: Vouched, provider: OidcProvider) -> None:
+    """Note that whoever is signed in has just proven once more who they are, to a provider.
+
+    Raises:
+        SignInRefused: the provider names somebody else, or somebody who did not give their password just now.
+    """
+    if await _use_identity(db, vouched) != actor.person_id:
+        raise SignInRefused(reason=f"{provider.title} signed somebody else in. Begin again with your own account.")
+    if vouched.auth_time is not None and vouched.auth_time < time.time() - _LATELY_S:
+        reason = f"{provider.title} did not ask for your password again. Sign out there, then begin again."
+        raise SignInRefused(reason=reason)
+    await renew_session(db, actor, way=provider.issuer)
 
 
 def _address(vouched: Vouched) -> str | None:

@@ -9,8 +9,7 @@ from kleinkram.contract.accounts import Claim, OneTimeLink
 from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, InvalidRequest, SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor, unexpired
-from kleinkram.server.access.groups import ADMINS_ID, add_person, make_admin, prove_address
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, add_person, make_admin, prove_address
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.codes import CodeWanted, make_code, use_code
 from kleinkram.server.auth.local import keep_first_password

@@ -84,6 +84,19 @@ async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> Row[Any
     return row
 
 
+async def find_code(db: Connection, secret: str, purpose: CodePurpose) -> Row[Any]:
+    """Return the row of a code, which stays good.
+
+    Raises:
+        CodeGone: as `use_code`.
+    """
+    stmt = select(one_time_code).where(*_is_good(secret), one_time_code.c.purpose == purpose.value)
+    row = (await db.execute(stmt)).one_or_none()
+    if row is None:
+        raise CodeGone
+    return row
+
+
 async def end_codes(db: Connection, person_id: uuid.UUID) -> None:
     """End the codes that are for somebody and those that they handed out, for good."""
     theirs = (one_time_code.c.person_id == person_id) | (one_time_code.c.created_by_id == person_id)

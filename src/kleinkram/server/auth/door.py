@@ -60,16 +60,26 @@ class Door:
         if account:
             await asyncio.sleep(await turn_of(self.database, Count("sign-ins", account.lower(), _ADDRESSES * most)))
 
-    async def hash(self, password: str, *, code: str) -> str:
+    async def hash(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
         """Hash a new password, which takes a good code; that stays good.
 
         Raises:
             CodeGone: the code is not good.
+            InvalidRequest: the password is known, or easy to guess.
             SlowDown: too many wait already.
         """
         async with self.database.begin() as db:
-            await look_at_code(db, code)
-        return await self.passwords.hash(password)
+            whose = await look_at_code(db, code)
+        return await self.hash_new(password, field="password", about=(whose.name, whose.email, *about))
+
+    async def hash_new(self, password: str, *, field: str, about: tuple[str | None, ...]) -> str:
+        """Hash a password that somebody chooses.
+
+        Raises:
+            InvalidRequest: it is known, or easy to guess.
+            SlowDown: too many wait already.
+        """
+        return await self.passwords.hash_new(password, field=field, about=(*about, self.settings.lab_name))
 
     async def let_in(self, db: Connection, response: Response, *, person_id: uuid.UUID, way: str) -> BrowserSignedIn:
         """Sign the browser in, as part of the caller's transaction.

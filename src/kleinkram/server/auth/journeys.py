@@ -24,6 +24,8 @@ class Journey:
     challenge: Challenge
     session_id: uuid.UUID | None
     return_to: str
+    # Nothing is linked: whoever is signed in proves once more who they are.
+    renews: bool = False
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,10 @@ class Ticket:
     browser: str = field(repr=False)
 
 
-def new_journey(return_to: str, *, session_id: uuid.UUID | None = None) -> Journey:
+def new_journey(return_to: str, *, session_id: uuid.UUID | None = None, renews: bool = False) -> Journey:
     """Return a way to begin, with fresh secrets."""
     challenge = Challenge(*(secrets.token_urlsafe(_SECRET_BYTES) for _ in range(3)))
-    return Journey(challenge, session_id, return_to)
+    return Journey(challenge, session_id, return_to, renews)
 
 
 async def begin_journey(db: Connection, *, provider: str, journey: Journey, browser: str) -> None:
@@ -51,6 +53,7 @@ async def begin_journey(db: Connection, *, provider: str, journey: Journey, brow
             code_verifier=journey.challenge.code_verifier,
             browser_sha256=secret_hash(browser),
             session_id=journey.session_id,
+            renews=journey.renews,
             return_to=journey.return_to,
             expires_at=func.now() + datetime.timedelta(seconds=JOURNEY_S),
         )
@@ -75,4 +78,4 @@ async def end_journey(db: Connection, *, provider: str, ticket: Ticket) -> Journ
             reason="this sign-in was not begun in this browser, was finished before, or is too long ago. Begin again."
         )
     challenge = Challenge(ticket.state, row.nonce, row.code_verifier)
-    return Journey(challenge, row.session_id, row.return_to)
+    return Journey(challenge, row.session_id, row.return_to, row.renews)

@@ -18,7 +18,7 @@ from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.access.rights import hold_person
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.auth.codes import CodeWanted, make_code, use_code
+from kleinkram.server.auth.codes import CodeWanted, find_code, make_code, use_code
 from kleinkram.server.auth.passwords import Passwords, refuse_obvious
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
@@ -161,6 +161,17 @@ async def make_reset(db: Connection, actor: Actor, *, person_id: uuid.UUID, sett
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
     await record(db, actor, Event("password.reset_link", "person", person_id, whose.name, None, after=after))
     return code.link(settings, CodePurpose.reset)
+
+
+async def whose_reset(db: Connection, code: str) -> uuid.UUID:
+    """Return whose password an admin's link resets; the link stays good.
+
+    Raises:
+        CodeGone: the link is not good any more.
+    """
+    row = await find_code(db, code, CodePurpose.reset)
+    person_id: uuid.UUID = row.person_id
+    return person_id
 
 
 async def reset_password(db: Connection, asker: Actor, *, reset: PasswordReset, hashed: str) -> uuid.UUID:

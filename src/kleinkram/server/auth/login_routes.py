@@ -15,6 +15,9 @@ from kleinkram.contract.accounts import (
     LoopbackApproval,
     LoopbackApproved,
     OneTimeLink,
+    RecoveryCodes,
+    TotpConfirm,
+    TotpEnrolment,
 )
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.signing_in import (
@@ -26,7 +29,7 @@ from kleinkram.contract.signing_in import (
     SessionRead,
     SignedIn,
 )
-from kleinkram.server.auth import local, logins, me, own, sessions
+from kleinkram.server.auth import local, logins, me, own, sessions, totp
 from kleinkram.server.auth.door import CurrentDoor
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
@@ -144,6 +147,37 @@ async def unlink_identity(
 ) -> None:
     """Take a provider's word for oneself no more. The last way to sign in stays; nothing else ends."""
     await own.unlink_identity(db, actor, identity_id=identity_id, settings=settings)
+
+
+@me_router.post("/totp", operation_id="begin_totp", status_code=201)
+async def begin_totp(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> TotpEnrolment:
+    """Make a secret for an authenticator app; it is in use once a code of it was confirmed."""
+    return await totp.begin_totp(db, actor, settings=settings)
+
+
+@me_router.post("/totp/confirm", operation_id="confirm_totp")
+async def confirm_totp(given: TotpConfirm, door: CurrentDoor) -> RecoveryCodes:
+    """Take a second factor into use; one's other browsers are signed out. The recovery codes are shown this once."""
+    await door.count_try(str(door.asker.person_id))
+    return await totp.confirm_totp(door.database, door.asker, code=given.code)
+
+
+@me_router.post("/totp/recovery-codes", operation_id="renew_recovery_codes")
+async def renew_recovery_codes(db: Transaction, actor: CurrentActor) -> RecoveryCodes:
+    """Make new recovery codes in place of those from before."""
+    return await totp.renew_recovery_codes(db, actor)
+
+
+@me_router.delete("/totp", operation_id="disable_totp", status_code=204)
+async def disable_totp(db: Transaction, actor: CurrentActor) -> None:
+    """Sign in with the password alone from now on."""
+    await totp.disable_totp(db, actor)
+
+
+@people_router.delete("/{person_id}/totp", operation_id="reset_totp", status_code=204)
+async def reset_totp(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
+    """Take somebody's second factor away, who lost their device and their recovery codes."""
+    await totp.reset_totp(db, actor, person_id=person_id)
 
 
 @people_router.post("/invitations", operation_id="invite_person", status_code=201)

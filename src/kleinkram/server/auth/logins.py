@@ -230,7 +230,8 @@ async def _make_token(db: Connection, asker: Actor, row: Row[Any], settings: Set
     found = await find_person(db, row.approved_by_id)
     if found is None or found.ref is None:
         raise SignInExpired
-    ends = func.now() + datetime.timedelta(days=settings.login_token_days)
+    days = min(settings.login_token_days, settings.token_days_max or settings.login_token_days)
+    ends = func.now() + datetime.timedelta(days=days)
     expires_at: datetime.datetime = (await db.execute(select(ends))).scalar_one()
     wanted = TokenCreate(name=_as_label(row.label), scopes=[Scope.admin], expires_at=expires_at)
     token_id, secret = await issue_token(db, found.person_id, wanted=wanted, expires_at=expires_at)

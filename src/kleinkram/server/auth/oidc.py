@@ -63,6 +63,7 @@ class _Claims(BaseModel):
     email_verified: bool | str | None = None
     name: str | None = None
     preferred_username: str | None = None
+    auth_time: int | None = None
 
 
 class OpenIdProvider:
@@ -78,9 +79,13 @@ class OpenIdProvider:
         self._discovered: tuple[float, Discovered] | None = None
         self._keys: tuple[float, KeySet] | None = None
 
-    async def authorization_url(self, challenge: Challenge) -> str:
-        """Return where the browser goes, with state, nonce and the challenge of PKCE."""
+    async def authorization_url(self, challenge: Challenge, *, again: bool = False) -> str:
+        """Return where the browser goes, with state, nonce and the challenge of PKCE.
+
+        Source of `prompt` and `max_age`: OpenID Connect Core 1.0, section 3.1.2.1.
+        """
         discovered = await self._discover()
+        anew = {"prompt": "login", "max_age": "0"} if again else {}
         url: str = prepare_grant_uri(
             discovered.authorization_endpoint,
             client_id=self.settings.client_id,
@@ -91,6 +96,7 @@ class OpenIdProvider:
             nonce=challenge.nonce,
             code_challenge=create_s256_code_challenge(challenge.code_verifier),
             code_challenge_method="S256",
+            **anew,
         )
         return url
 
@@ -110,6 +116,7 @@ class OpenIdProvider:
             email=claims.email,
             email_verified=claims.email_verified in {True, "true"},
             name=claims.name or claims.preferred_username,
+            auth_time=claims.auth_time,
         )
 
     async def _discover(self) -> Discovered:

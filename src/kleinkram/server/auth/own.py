@@ -15,9 +15,10 @@ from kleinkram.contract.errors import LastWayIn, NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.rights import GroupKind
 from kleinkram.server.access.actor import Actor, unexpired
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import OWNER_ID
 from kleinkram.server.access.rights import hold_person
 from kleinkram.server.audit.service import Event, record
+from kleinkram.server.auth.totp import read_totp
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import access_group, identity, membership, password, person, person_email
@@ -43,6 +44,7 @@ async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> Ac
         ],
         affiliations=sorted((await db.execute(affiliations)).scalars()),
         has_password=await _has_password(db, actor, settings),
+        totp=await read_totp(db, actor.person_id),
         created_at=created_at,
     )
 

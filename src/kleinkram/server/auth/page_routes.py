@@ -87,7 +87,10 @@ async def _welcome(door: Door, name: str, returned: Returned) -> Response:
     async with door.database.begin() as db:
         if journey.session_id is not None:
             if journey.session_id != door.asker.session_id:
-                raise SignInRefused(reason="you signed out meanwhile, so nothing was linked. Sign in and begin again.")
+                raise SignInRefused(reason="you signed out meanwhile, so nothing was changed. Sign in and begin again.")
+            if journey.renews:
+                await accounts.renew_sign_in(db, door.asker, vouched=vouched, provider=provider.settings)
+                return response
             await accounts.link_identity(db, door.asker, vouched=vouched, provider=provider.settings)
             return response
         person_id = await accounts.open_account(db, door.asker, vouched=vouched, provider=provider.settings)

@@ -24,6 +24,10 @@ _CHOSEN = (
     '<label>New password, at least 10 characters<input name="password" type="password" autocomplete="new-password" '
     'minlength="10" maxlength="256" required></label>'
 )
+_SECOND_FACTOR = (
+    '<label id="second-factor" hidden>Code from your authenticator app, or a recovery code<input name="second_factor" '
+    'autocomplete="one-time-code" spellcheck="false" maxlength="40"></label>'
+)
 _NAME = '<label>Your name<input name="name" autocomplete="name" maxlength="128" required></label>'
 
 
@@ -32,7 +36,7 @@ def sign_in_page(settings: Settings) -> HTMLResponse:
     ways = [_provider_button(each.name, f"Sign in with {each.title}") for each in settings.oidc_providers]
     if settings.local_accounts:
         form = f'{_EMAIL}<label>Password<input name="password" type="password" autocomplete="current-password"'
-        ways.append(_form("password", f"{form} required></label>", "Sign in"))
+        ways.append(_form("password", f"{form} required></label>{_SECOND_FACTOR}", "Sign in"))
         ways.append('<p class="small">Forgotten it? An admin of this server can give you a link to a new one.</p>')
     claim = (
         '<p class="small" id="claim" hidden>Nobody is admin yet: <a href="/sign-in/claim">claim this server</a>.</p>'
@@ -53,7 +57,7 @@ def invitation_page(settings: Settings) -> HTMLResponse:
 
 def reset_page(settings: Settings) -> HTMLResponse:
     """Return the page on which a new password is chosen."""
-    form = _form("reset", f'<p id="for"></p>{_CHOSEN}', "Keep this password")
+    form = _form("reset", f'<p id="for"></p>{_CHOSEN}{_SECOND_FACTOR}', "Keep this password")
     return _page(settings, "A new password", "reset", form)
 
 

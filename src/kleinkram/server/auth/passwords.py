@@ -4,6 +4,7 @@ A guess at an account that is not there takes as long as at one that is.
 """
 
 import asyncio
+import re
 import secrets
 from collections.abc import Callable
 from functools import cache
@@ -23,6 +24,13 @@ _hasher = PasswordHasher(time_cost=2, memory_cost=32_768, parallelism=1, hash_le
 _AT_ONCE = 2
 _MOST_WAITING = 30
 _PAUSE_S = 5.0
+# Of zxcvbn's five: below, a hundred million guesses find it.
+_LEAST_SCORE = 3
+# It refuses to look at more, and takes longer than linearly.
+_LOOKED_AT = 72
+_OWN_NAMES = ("kleinkram", "klein")
+_LEAST_WORD = 3
+_LEAST_OF_ITS_OWN = 6
 
 
 class Passwords:
@@ -39,6 +47,17 @@ class Passwords:
             SlowDown: too many wait already.
         """
         return await self._in_turn(lambda: _hasher.hash(password))
+
+    async def hash_new(self, password: str, *, field: str, about: tuple[str | None, ...]) -> str:
+        """Return what is kept of a password that somebody chooses; `about` are names and addresses of theirs.
+
+        Raises:
+            InvalidRequest: it is known, or easy to guess.
+            SlowDown: too many wait already.
+        """
+        refuse_obvious(password, field=field, about=about)
+        await self._in_turn(lambda: _refuse_known(password, field=field, about=about))
+        return await self.hash(password)
 
     async def verify(self, hashed: str | None, password: str) -> bool:
         """Say whether a password is the one that was hashed; with None, take as long and say no.
@@ -77,12 +96,33 @@ def _nobodys() -> str:
 
 
 def refuse_obvious(password: str, *, field: str, about: tuple[str | None, ...]) -> None:
-    """See that a password is not just somebody's name or address.
+    """See that a password is not little more than somebody's name or address, or the name of this software.
 
     Raises:
         InvalidRequest: it is.
     """
-    known = {word.casefold() for text in about if text for word in (text, text.partition("@")[0])}
-    if password.casefold().strip() in known:
-        problem = FieldProblem(field=field, message="is your name or address; choose another")
-        raise InvalidRequest(problems=[problem])
+    folded = "".join(letter for letter in password.casefold() if letter.isalnum())
+    rest = folded
+    for word in sorted(_words_of((*about, *_OWN_NAMES)), key=len, reverse=True):
+        rest = rest.replace(word, "")
+    if rest != folded and len(rest) < _LEAST_OF_ITS_OWN:
+        message = "is little more than your name or address, or the name of this server; choose another"
+        raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
+
+
+def _words_of(texts: tuple[str | None, ...]) -> set[str]:
+    """Return the words of names and addresses, without those that are too short to mean anything."""
+    words = {word for text in texts if text for word in re.findall(r"[^\W_]+", text.casefold())}
+    whole = {"".join(re.findall(r"[^\W_]+", text.casefold())) for text in texts if text}
+    return {word for word in words | whole if len(word) >= _LEAST_WORD}
+
+
+def _refuse_known(password: str, *, field: str, about: tuple[str | None, ...]) -> None:
+    from zxcvbn import zxcvbn  # loads its lists of known passwords, which only a process that needs them shall hold
+
+    found = zxcvbn(password[:_LOOKED_AT], user_inputs=sorted(_words_of((*about, *_OWN_NAMES))))
+    if found["score"] >= _LEAST_SCORE:
+        return
+    why = str(found["feedback"]["warning"]).rstrip(".") or "It is easy to guess"
+    message = f"is not safe: {why[0].lower()}{why[1:]}. Choose another, such as four words that do not belong together"
+    raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])

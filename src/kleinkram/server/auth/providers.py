@@ -22,6 +22,8 @@ class Vouched:
     email: str | None
     email_verified: bool
     name: str | None
+    # When they last gave their password there, where the provider says so: seconds since 1970, by its clock.
+    auth_time: int | None = None
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class Provider(Protocol):
         """What the server's settings say of it."""
         ...
 
-    async def authorization_url(self, challenge: Challenge) -> str:
-        """Return where the browser goes.
+    async def authorization_url(self, challenge: Challenge, *, again: bool = False) -> str:
+        """Return where the browser goes; `again` asks for the password even of somebody who is signed in there.
 
         Raises:
             ProviderUnavailable: the provider does not answer.

@@ -9,6 +9,7 @@ from kleinkram.contract.accounts import (
     CodeSignIn,
     InvitationAccept,
     OneTimeLink,
+    PasswordAgain,
     PasswordChange,
     PasswordReset,
     PasswordSignIn,
@@ -20,7 +21,8 @@ from kleinkram.contract.accounts import (
 from kleinkram.server.auth import claiming, codes, journeys, local
 from kleinkram.server.auth.cookies import bind_browser, drop_session
 from kleinkram.server.auth.door import CurrentDoor, Door
-from kleinkram.server.auth.sessions import end_session
+from kleinkram.server.auth.sessions import end_session, renew_session
+from kleinkram.server.auth.totp import see_second_factor
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, refuse_foreign_page
 from kleinkram.server.tables.signing_in import CodePurpose
 
@@ -43,6 +45,7 @@ async def sign_in_by_password(given: PasswordSignIn, door: CurrentDoor, response
     door.see_that_passwords_are_taken()
     await door.count_try(given.email)
     proven = await local.prove_password(door.database, door.passwords, given)
+    await see_second_factor(door.database, proven.person_id, given.second_factor, door.asker)
     async with door.database.begin() as db:
         await local.see_that_it_still_is(db, proven)
         return await door.let_in(db, response, person_id=proven.person_id, way="password")
@@ -54,9 +57,21 @@ async def change_password(wanted: PasswordChange, door: CurrentDoor) -> None:
     door.see_that_passwords_are_taken()
     await door.count_try(str(door.asker.person_id))
     proven = await local.prove_own_password(door.database, door.passwords, door.asker, wanted.old_password)
-    hashed = await door.passwords.hash(wanted.new_password)
+    hashed = await door.hash_new(wanted.new_password, field="new_password", about=(door.asker.name,))
     async with door.database.begin() as db:
         await local.change_password(db, door.asker, proven=proven, new=wanted.new_password, hashed=hashed)
+
+
+@router.post("/password/again", operation_id="prove_password_again", status_code=204)
+async def prove_password_again(given: PasswordAgain, door: CurrentDoor) -> None:
+    """Prove once more who one is, so that this browser may do what takes a fresh sign-in."""
+    door.see_that_passwords_are_taken()
+    await door.count_try(str(door.asker.person_id))
+    proven = await local.prove_own_password(door.database, door.passwords, door.asker, given.password)
+    await see_second_factor(door.database, proven.person_id, given.second_factor, door.asker)
+    async with door.database.begin() as db:
+        await local.see_that_it_still_is(db, proven)
+        await renew_session(db, door.asker, way="password")
 
 
 @router.post("/link", operation_id="sign_in_by_link", dependencies=_FROM_OUR_PAGE)
@@ -79,7 +94,7 @@ async def accept_invitation(accepted: InvitationAccept, door: CurrentDoor, respo
     """Get the account that one is invited to, and sign in."""
     door.see_that_passwords_are_taken()
     await door.count_try()
-    hashed = await door.hash(accepted.password, code=accepted.code)
+    hashed = await door.hash(accepted.password, code=accepted.code, about=(accepted.name,))
     async with door.database.begin() as db:
         person_id = await local.accept_invitation(db, door.asker, accepted=accepted, hashed=hashed)
         return await door.let_in(db, response, person_id=person_id, way="password")
@@ -95,6 +110,9 @@ async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Resp
     await door.count_try()
     hashed = await door.hash(reset.password, code=reset.code)
     async with door.database.begin() as db:
+        whose = await local.whose_reset(db, reset.code)
+    await see_second_factor(door.database, whose, reset.second_factor, door.asker)
+    async with door.database.begin() as db:
         person_id = await local.reset_password(db, door.asker, reset=reset, hashed=hashed)
         return await door.let_in(db, response, person_id=person_id, way="password")
 
@@ -103,7 +121,10 @@ async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Resp
 async def claim_server(claimed: Claim, door: CurrentDoor, response: Response) -> BrowserSignedIn:
     """Become the first admin of a fresh server, by the code from its log."""
     await door.count_try()
-    hashed = None if claimed.password is None else await door.hash(claimed.password, code=claimed.code)
+    hashed = None
+    if claimed.password is not None:
+        about = (claimed.name, claimed.email)
+        hashed = await door.hash(claimed.password, code=claimed.code, about=about)
     async with door.database.begin() as db:
         person_id = await claiming.claim(db, door.asker, claimed=claimed, hashed=hashed)
         return await door.let_in(db, response, person_id=person_id, way="claim")
@@ -124,6 +145,15 @@ async def link_provider(name: str, wanted: ProviderBegin, door: CurrentDoor, res
     return await _begin(door, response, provider=name, journey=journey)
 
 
+@router.post("/providers/{name}/again", operation_id="begin_provider_sign_in_again")
+async def begin_provider_sign_in_again(
+    name: str, wanted: ProviderBegin, door: CurrentDoor, response: Response
+) -> ProviderBegun:
+    """Begin to prove once more who one is, by a provider, which is asked to ask for the password anew."""
+    journey = journeys.new_journey(wanted.return_to, session_id=door.asker.session_id, renews=True)
+    return await _begin(door, response, provider=name, journey=journey)
+
+
 @router.post("/owner-link", operation_id="create_owner_link")
 async def create_owner_link(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> OneTimeLink:
     """Make a link by which the owner of `klein up` signs a browser in."""
@@ -140,7 +170,7 @@ async def sign_out(response: Response, db: Transaction, actor: CurrentActor, set
 
 async def _begin(door: Door, response: Response, *, provider: str, journey: journeys.Journey) -> ProviderBegun:
     await door.count_try()
-    url = await door.providers.get(provider).authorization_url(journey.challenge)
+    url = await door.providers.get(provider).authorization_url(journey.challenge, again=journey.renews)
     browser = bind_browser(door.request, response, door.settings)
     async with door.database.begin() as db:
         await journeys.begin_journey(db, provider=provider, journey=journey, browser=browser)

@@ -77,6 +77,13 @@ async def begin_session(
     return NewSession(actor, secret)
 
 
+async def renew_session(db: Connection, actor: Actor, *, way: str) -> None:
+    """Note that whoever is signed in by this browser has just proven once more who they are."""
+    mine = update(session).where(session.c.id == actor.session_id)
+    await db.execute(mine.values(authenticated_at=func.now()))
+    await record(db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"way": way}))
+
+
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
     """Return a page of the browsers that somebody is signed in with, latest first.
 

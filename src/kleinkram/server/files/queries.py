@@ -37,6 +37,7 @@ from kleinkram.server.access.visible import (
     joined_files,
     missions_by_project,
     visible_files,
+    visible_missions,
 )
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among, among_given, by_name
@@ -45,7 +46,7 @@ from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.matching import narrow_files, narrow_walked
 from kleinkram.server.search.topics import TOPIC_ORDER, topic_rows
-from kleinkram.server.tables import blob, file, mission, person, project, run_artifact, run_input, topic
+from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 _WALKS = {FileSort.start_desc, FileSort.created, FileSort.created_desc}
@@ -250,9 +251,11 @@ def topics_of_file(asker: Actor, page: PageRequest) -> Listed:
     return list_of(topic_rows(of_file).add_columns(topic.c.density), TOPIC_ORDER, page)
 
 
-def runs_that_read(file_id: uuid.UUID) -> Select[Any]:
-    """Return the number of runs that were given a file."""
-    return select(func.count()).select_from(run_input).where(run_input.c.file_id == file_id)
+def runs_that_read(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+    """Return the number of runs that were given a file, on missions that `actor` may read."""
+    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    stmt = select(func.count()).select_from(run_input).join(run, run.c.id == run_input.c.run_id)
+    return stmt.where(run_input.c.file_id == file_id, run.c.mission_id.in_(missions))
 
 
 def made_from(actor: Actor, file_id: uuid.UUID) -> Select[Any]:

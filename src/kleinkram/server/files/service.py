@@ -220,7 +220,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
 
 async def _come_of_it(db: Connection, actor: Actor, file_id: uuid.UUID) -> tuple[int, list[str]]:
     """Return how many runs read a file, and the paths of the files that they made of it, as far as these are shown."""
-    runs = (await db.execute(queries.runs_that_read(file_id))).scalar_one()
+    runs = (await db.execute(queries.runs_that_read(actor, file_id))).scalar_one()
     if not runs:
         return 0, []
     return runs, list((await db.execute(queries.made_from(actor, file_id))).scalars())

@@ -7,11 +7,13 @@ from fastapi.responses import PlainTextResponse
 
 import kleinkram
 from kleinkram.contract.people import ServiceRead, ViewerRead
+from kleinkram.contract.rights import TokenKind
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.health.proxy_check import seen
 from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent
 from kleinkram.server.settings import Settings
+from kleinkram.server.tokens.service import default_days
 
 # Probes come without a token: whatever their number, they look no more often than this.
 _HOLDS_S = 1
@@ -62,6 +64,8 @@ async def service(actor: CurrentActor, storage: CurrentStorage, settings: Curren
         store_url=settings.store_public_url,
         store_origin=settings.store_origin,
         checksum=storage.checksum.value,
+        token_days_default=default_days(TokenKind.personal, settings) or 0,
+        token_days_max=settings.token_days_max,
         has_local_accounts=settings.local_accounts,
         viewers=[ViewerRead(name=each.name, url=each.url) for each in settings.viewers],
         person=actor.ref,

@@ -4,12 +4,12 @@ import datetime
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import Row, Select, func, select
+from sqlalchemy import Row, Select, case, func, select
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LEASE_S, Abilities, Capacity, Isolation
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import person, runner
+from kleinkram.server.tables import person, runner, token, token_limit
 
 _ALIVE = datetime.timedelta(seconds=LEASE_S)
 # A runner that is switched off for a weekend comes back; one that was silent for longer is not counted on.
@@ -27,9 +27,17 @@ def is_alive() -> Any:
     return runner.c.last_seen_at > func.now() - _ALIVE
 
 
+def with_limits(stmt: Select[Any]) -> Select[Any]:
+    """Add to a select of runners what their tokens limit them to: `only_project_ids` and `only_labels`, or null."""
+    projects = select(token_limit.c.project_id).where(token_limit.c.token_id == token.c.id).correlate(token)
+    only = case((token.c.is_limited, func.array(projects.scalar_subquery())))
+    stmt = stmt.outerjoin(token, token.c.id == runner.c.token_id)
+    return stmt.add_columns(only.label("only_project_ids"), token.c.runner_labels.label("only_labels"))
+
+
 def alive_stmt() -> Select[Any]:
-    """Return the runners that were heard of lately."""
-    return select(runner).where(is_alive())
+    """Return the runners that were heard of lately, with what their tokens limit them to."""
+    return with_limits(select(runner)).where(is_alive())
 
 
 async def alive_runners(db: Connection) -> Sequence[Row[Any]]:
@@ -77,6 +85,10 @@ def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str
     capacity = Capacity.model_validate(each.capacity)
     if is_for_owner_only(abilities) and not owners_alone:
         return "it runs actions without containers, which is allowed only while one person alone has an account"
+    if each.only_project_ids is not None and run.project_id not in each.only_project_ids:
+        return "its token is limited to other projects"
+    if each.only_labels is not None and not set(run.labels) & set(each.only_labels):
+        return f"its token is limited to actions that ask for the label {' or '.join(sorted(each.only_labels))}"
     if lacking := sorted(set(run.labels) - set(each.labels)):
         return f"it has no label {lacking[0]}"
     if run.needs_images and not abilities.images:

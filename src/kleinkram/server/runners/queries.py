@@ -1,16 +1,18 @@
 """What runners ask of the database. Functions return selects; they touch no connection."""
 
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, func, literal, or_, select
 
-from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, RunnerRead
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, RunnerRead, RunnerToken
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.db import among
 from kleinkram.server.pages import Order
-from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts
-from kleinkram.server.tables import action, action_version, mission, project, run, runner
+from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts, with_limits
+from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
 RUNNER_ORDER = Order([runner.c.name, runner.c.id])
@@ -18,20 +20,22 @@ RUNNER_ORDER = Order([runner.c.name, runner.c.id])
 _ROUNDING = 1e-6
 
 
-def own_runner(actor: Actor, runner_id: uuid.UUID) -> Select[Any]:
-    """Return a runner of the person whose token it came with."""
-    return select(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
-
-
 def runner_rows() -> Select[Any]:
     """Return all runners, as `to_runner` reads them."""
     held = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(HELD))
     active = held.correlate(runner).scalar_subquery().label("active_runs")
-    return select(runner, is_alive().label("is_alive"), active)
+    stmt = with_limits(select(runner, is_alive().label("is_alive"), active))
+    return stmt.add_columns(token.c.name.label("token_name"), token.c.expires_at.label("token_expires_at"))
 
 
-def to_runner(row: Row[Any]) -> RunnerRead:
-    """Return the runner that a row stands for."""
+def projects_of(token_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the projects that tokens are limited to."""
+    stmt = select(token_limit.c.token_id, project.c.id, project.c.name).join_from(token_limit, project)
+    return stmt.where(among(token_limit.c.token_id, token_ids)).order_by(project.c.name)
+
+
+def to_runner(row: Row[Any], projects: Sequence[Row[Any]] = ()) -> RunnerRead:
+    """Return the runner that a row stands for; `projects` are those that tokens are limited to."""
     return RunnerRead(
         id=row.id,
         name=row.name,
@@ -43,6 +47,18 @@ def to_runner(row: Row[Any]) -> RunnerRead:
         last_seen_at=row.last_seen_at,
         is_alive=row.is_alive,
         active_runs=row.active_runs,
+        token=None if row.token_name is None else _to_token(row, projects),
+    )
+
+
+def _to_token(row: Row[Any], projects: Sequence[Row[Any]]) -> RunnerToken:
+    named = [ProjectRef(id=each.id, name=each.name) for each in projects if each.token_id == row.token_id]
+    return RunnerToken(
+        id=row.token_id,
+        name=row.token_name,
+        expires_at=row.token_expires_at,
+        projects=None if row.only_project_ids is None else named,
+        labels=row.only_labels,
     )
 
 
@@ -85,22 +101,26 @@ def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[An
         & or_(~run.c.needs_images, literal(abilities.images))
         & or_(run.c.needs_images, literal(runs_scripts(row, abilities)))
     )
+    if row.only_project_ids is not None:
+        fits &= mission.c.project_id.in_(row.only_project_ids)
+    if row.only_labels is not None:
+        fits &= run.c.labels.op("&&", is_comparison=True)(literal(row.only_labels, ARRAY(Text)))
     live = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None)
     queued = _with_definition().where(run.c.state == "queued", live, fits)
     return queued.order_by(run.c.created_at, run.c.id).limit(1).with_for_update(of=run, skip_locked=True)
 
 
 def held_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
-    """Return a run that a runner of this person's holds by this attempt, locked."""
+    """Return a run that the runner of this token holds by this attempt, locked."""
     current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)
 
 
 def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
-    """Return the state of a run that is over and whose last runner, of this person's, had it by this attempt."""
+    """Return the state of a run that is over and whose last runner, of this token, had it by this attempt."""
     current = (run.c.attempt == attempt) & run.c.ended_at.is_not(None) & _is_of(actor)
     return select(run.c.state).where(run.c.id == run_id, current)
 
 
 def _is_of(actor: Actor) -> ColumnElement[bool]:
-    return run.c.runner_id.in_(select(runner.c.id).where(runner.c.person_id == actor.person_id))
+    return run.c.runner_id == actor.runner_id

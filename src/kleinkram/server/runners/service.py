@@ -5,12 +5,13 @@ import time
 import uuid
 from typing import Any
 
-from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy import Row, exists, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.errors import Forbidden, NotFound
 from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.runners import (
@@ -29,7 +30,7 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
 from kleinkram.contract.secrets import SecretKind
-from kleinkram.server.access.actor import Actor, find_person
+from kleinkram.server.access.actor import Actor, find_person, unexpired
 from kleinkram.server.access.secrets import new_secret
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
@@ -38,7 +39,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import Hub, Topic
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.runners import queries
-from kleinkram.server.runners.fitting import is_owners_alone
+from kleinkram.server.runners.fitting import is_owners_alone, with_limits
 from kleinkram.server.runs.ending import end_run, take_back_lost
 from kleinkram.server.site import Site
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
@@ -62,15 +63,18 @@ _TOKEN_SPARE_S = 3600
 
 
 async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> RunnerRead:
-    """Note what a runner is, and that it is there.
+    """Note what a runner is, and that it is there. The first runner that uses a token is the only one from then on.
 
     Raises:
-        Forbidden: it is another person's runner.
+        Forbidden: it is another person's runner, its token is another runner's, or not for such labels.
     """
+    await _bind(db, actor, hello.id)
+    await _see_that_labels_are_allowed(db, actor, hello)
     known = (await db.execute(select(runner).where(runner.c.id == hello.id).with_for_update())).one_or_none()
     if known and known.person_id != actor.person_id:
         raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
     said = hello.model_dump(mode="json", exclude={"id"})
+    said |= {"token_id": actor.token_id}
     stmt = upsert(runner).values(id=hello.id, person_id=actor.person_id, last_seen_at=func.now(), **said)
     same = {name: stmt.excluded[name] for name in (*said, "last_seen_at")}
     await db.execute(stmt.on_conflict_do_update(index_elements=["id"], set_=same))
@@ -78,7 +82,43 @@ async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> Runn
         event = Event("runner.arrive", "runner", hello.id, hello.name, None, after={"labels": list(hello.labels)})
         await record(db, actor, event)
     await tell(db, [Notice("runner", ChangeKind.changed, hello.id)])
-    return queries.to_runner((await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one())
+    row = (await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one()
+    return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
+
+
+async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+    """See that a token is this runner's; one that no runner has used yet becomes so.
+
+    Raises:
+        Forbidden: it is another runner's, or this runner has another token that is still good.
+    """
+    if actor.runner_id == runner_id:
+        return
+    others = token.alias("other_token")
+    taken = exists().where(
+        others.c.runner_id == runner_id,
+        others.c.id != actor.token_id,
+        others.c.revoked_at.is_(None),
+        unexpired(others.c.expires_at),
+    )
+    unbound = (token.c.id == actor.token_id) & token.c.runner_id.is_(None) & ~taken
+    stmt = update(token).where(unbound | ((token.c.id == actor.token_id) & (token.c.runner_id == runner_id)))
+    bound = await db.execute(stmt.values(runner_id=runner_id).returning(token.c.id))
+    if bound.first() is None:
+        needs = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"
+        raise Forbidden(noun="server", operation="be this runner", needs=needs)
+    name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
+    after: Metadata = {"runner_id": str(runner_id)}
+    await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
+
+
+async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerHello) -> None:
+    stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
+    allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
+    surplus = sorted(set(hello.labels) - set(allowed)) if allowed is not None else []
+    if surplus:
+        needs = f"a token for it; this one is limited to {', '.join(allowed or [])}"
+        raise Forbidden(noun="server", operation=f"be a runner with the label {surplus[0]}", needs=needs)
 
 
 async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]:
@@ -88,7 +128,9 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
         InvalidCursor: the cursor is not of this list.
     """
     rows = await fetch_page(db, queries.runner_rows(), queries.RUNNER_ORDER, page)
-    return Page(items=[queries.to_runner(row) for row in rows.items], next=rows.next, total=rows.total)
+    token_ids = {row.token_id for row in rows.items if row.token_id is not None}
+    projects = (await db.execute(queries.projects_of(token_ids))).all()
+    return Page(items=[queries.to_runner(row, projects) for row in rows.items], next=rows.next, total=rows.total)
 
 
 async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
@@ -96,6 +138,7 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
 
     Raises:
         NotFound: nobody of this person's is that runner: it must say hello first.
+        Forbidden: the token is another runner's.
         TooManyStreams: as many requests of this runner wait as it gets.
     """
     until = time.monotonic() + asked.wait_s
@@ -110,10 +153,8 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
 
 
 async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimAsk) -> Claim | None:
-    seen = update(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
-    row = (await db.execute(seen.values(last_seen_at=func.now()).returning(runner))).one_or_none()
-    if row is None:
-        raise NotFound(noun="runner", ref=str(runner_id))
+    await _see(db, actor, runner_id)
+    row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
     await take_back_lost(db)
     unheard = (await db.execute(queries.unheard_claim(runner_id, asked.held))).one_or_none()
     if unheard is not None:
@@ -128,6 +169,15 @@ async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: 
         message = "Whoever started it may not run it on this mission any more."
         await end_run(db, found, EndReason.cancelled, message)
     return None
+
+
+async def _see(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+    """Note that a runner was heard of. One from before tokens were bound becomes the one of its token."""
+    mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
+    values = {"last_seen_at": func.now(), "token_id": actor.token_id}
+    if (await db.execute(update(runner).where(mine).values(values).returning(runner.c.id))).first() is None:
+        raise NotFound(noun="runner", ref=str(runner_id))
+    await _bind(db, actor, runner_id)
 
 
 async def _may_still(db: Connection, row: Row[Any]) -> bool:
@@ -199,10 +249,9 @@ async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said
 
     Raises:
         NotFound: nobody of this person's is that runner.
+        Forbidden: the token is another runner's.
     """
-    seen = update(runner).where(runner.c.id == runner_id, runner.c.person_id == actor.person_id)
-    if (await db.execute(seen.values(last_seen_at=func.now()).returning(runner.c.id))).first() is None:
-        raise NotFound(noun="runner", ref=str(runner_id))
+    await _see(db, actor, runner_id)
     answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
     return BeatAnswers(runs=answers, lease_s=LEASE_S)
 

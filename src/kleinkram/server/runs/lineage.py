@@ -54,11 +54,13 @@ async def _runs(db: Connection, actor: Actor, condition: Any) -> Sequence[Row[An
 
 async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, LineageRun]:
     run_ids = {row.id for row in rows}
-    given = (await db.execute(queries.inputs_of([*run_ids]).order_by(run_input.c.path).limit(_MOST_FILES))).all()
+    stmt = queries.inputs_of(actor, [*run_ids])
+    given = (await db.execute(stmt.order_by(run_input.c.path).limit(_MOST_FILES))).all()
     columns = (run_artifact.c.run_id, run_artifact.c.file_id, file.c.path, blob.c.sha256)
     stmt = select(*columns).join_from(run_artifact, file, file.c.id == run_artifact.c.file_id)
-    joined = stmt.join(blob, blob.c.id == file.c.blob_id).where(among(run_artifact.c.run_id, run_ids))
-    made = (await db.execute(joined.order_by(file.c.path).limit(_MOST_FILES))).all()
+    joined = stmt.join(blob, blob.c.id == file.c.blob_id).join(run, run.c.id == run_artifact.c.run_id)
+    shown_files = among(run_artifact.c.run_id, run_ids) & ~queries.is_hidden(actor, run_artifact.c.file_id)
+    made = (await db.execute(joined.where(shown_files).order_by(file.c.path).limit(_MOST_FILES))).all()
     ids = {row.file_id for row in [*given, *made] if row.file_id}
     seen = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
     visible = set((await db.execute(seen.where(among(file.c.id, ids)))).scalars())

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, false, func, select
+from sqlalchemy import Column, ColumnElement, Row, Select, case, exists, false, func, select
 
 from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.missions import MissionRef
@@ -25,13 +25,14 @@ from kleinkram.contract.runs import (
     SayingFilter,
 )
 from kleinkram.server.access.actor import Actor, ActorKind
-from kleinkram.server.access.visible import level_on_mission, visible_missions
+from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.pages import Order
 from kleinkram.server.search.globs import matches, matches_key
 from kleinkram.server.tables import (
     action,
     action_version,
     blob,
+    file,
     mission,
     person,
     project,
@@ -50,6 +51,7 @@ INPUT_ORDER = Order([run_input.c.path])
 ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
 FINDING_ORDER = Order([run_finding.c.id], descending=True)
 METRIC_ORDER = Order([run_metric.c.id], descending=True)
+_file = file.alias("its_file")
 _PLACE = (
     mission.c.name.label("mission_name"),
     mission.c.project_id.label("project_id"),
@@ -173,9 +175,26 @@ def _action(row: Row[Any]) -> ActionRef:
     return ActionRef(id=row.action_id, name=row.action_name, version=row.action_number)
 
 
-def inputs_of(run_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    """Return what runs were given."""
-    return select(run_input).where(run_input.c.run_id.in_(run_ids))
+def inputs_of(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
+    """Return the inputs of visible runs, without files that have since moved to where `actor` may not read them."""
+    columns = [column for column in run_input.c if column is not run_input.c.file_id]
+    stmt = select(*columns, _visible_id(actor, run_input.c.file_id)).join(run, run.c.id == run_input.c.run_id)
+    return stmt.where(run_input.c.run_id.in_(run_ids), ~is_hidden(actor, run_input.c.file_id))
+
+
+def is_hidden(actor: Actor, file_id: Column[Any]) -> ColumnElement[bool]:
+    """Say of a file of a `run` that is joined whether it is in another mission now, and out of `actor`'s sight."""
+    moved = exists().where(_file.c.id == file_id, _file.c.mission_id != run.c.mission_id)
+    return moved & ~_is_visible(actor, file_id)
+
+
+def _is_visible(actor: Actor, file_id: Column[Any]) -> ColumnElement[bool]:
+    seen = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
+    return seen.where(file.c.id == file_id).correlate(file_id.table).exists()
+
+
+def _visible_id(actor: Actor, file_id: Column[Any]) -> ColumnElement[Any]:
+    return case((_is_visible(actor, file_id), file_id)).label("file_id")
 
 
 def to_input(row: Row[Any]) -> RunInput:
@@ -183,10 +202,12 @@ def to_input(row: Row[Any]) -> RunInput:
     return RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
 
 
-def artifacts_of(run_id: uuid.UUID) -> Select[Any]:
-    """Return what a run left, with what is known of the bytes."""
-    columns = (blob.c.size_bytes, blob.c.sha256, blob.c.key, blob.c.state)
-    joined = select(run_artifact, *columns).join_from(run_artifact, blob, blob.c.id == run_artifact.c.blob_id)
+def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
+    """Return what a run left, with what is known of the bytes; `file_id` where `actor` may read that file."""
+    own = (run_artifact.c.id, run_artifact.c.run_id, run_artifact.c.path)
+    columns = (*own, blob.c.size_bytes, blob.c.sha256, blob.c.key, blob.c.state)
+    stmt = select(*columns, _visible_id(actor, run_artifact.c.file_id))
+    joined = stmt.join_from(run_artifact, blob, blob.c.id == run_artifact.c.blob_id)
     return joined.where(run_artifact.c.run_id == run_id)
 
 
@@ -218,7 +239,12 @@ def metrics(actor: Actor, matching: SayingFilter) -> Select[Any]:
 
 def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[Any]:
     place = (run.c.mission_id, *_PLACE, *_ACTION)
-    chosen = [column.label(f"said_{column.name}") for column in table.c]
+    chosen = [column.label(f"said_{column.name}") for column in table.c if column is not table.c.file]
+    # The name of an input goes out of sight with the file.
+    its_input = exists().where(
+        run_input.c.run_id == run.c.id, run_input.c.path == table.c.file, is_hidden(actor, run_input.c.file_id)
+    )
+    chosen.append(case((~its_input, table.c.file)).label("said_file"))
     stmt = visible_runs(actor).with_only_columns(*chosen, *place, maintain_column_froms=True)
     stmt = stmt.join(table, table.c.run_id == run.c.id)
     if matching.run_id is not None:

@@ -100,14 +100,14 @@ async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UU
 
 
 async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[RunInput]:
-    """Return a page of what a run was given, by path.
+    """Return a page of what a run was given, by path; without files that moved out of `actor`'s sight.
 
     Raises:
         NotFound: the run is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
     await run_row(db, actor, run_id)
-    rows = await fetch_page(db, queries.inputs_of([run_id]), queries.INPUT_ORDER, page)
+    rows = await fetch_page(db, queries.inputs_of(actor, [run_id]), queries.INPUT_ORDER, page)
     return Page(items=[queries.to_input(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -118,7 +118,7 @@ async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, pag
         NotFound: the run is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
-    stmt = queries.artifacts_of(await results_of(db, actor, run_id))
+    stmt = queries.artifacts_of(actor, await results_of(db, actor, run_id))
     rows = await fetch_page(db, stmt, queries.ARTIFACT_ORDER, page)
     return Page(items=[queries.to_artifact(row) for row in rows.items], next=rows.next, total=rows.total)
 
@@ -134,7 +134,7 @@ async def link_artifacts(
     """
     async with site.database.begin() as db:
         held = await run_row(db, actor, run_id)
-        stmt = queries.artifacts_of(held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
+        stmt = queries.artifacts_of(actor, held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
         found = {row.id: row for row in await db.execute(stmt)}
         for each in artifact_ids:
             if each not in found:

@@ -22,6 +22,8 @@ from kleinkram.server.tables.signing_in import (
     one_time_code,
     password,
     rate_count,
+    recovery_code,
+    totp,
 )
 from kleinkram.server.tables.store_probe import store_probe
 from kleinkram.server.tables.upload import upload
@@ -55,6 +57,7 @@ __all__ = [
     "project",
     "rate_count",
     "recording",
+    "recovery_code",
     "run",
     "run_artifact",
     "run_finding",
@@ -70,6 +73,7 @@ __all__ = [
     "token_limit",
     "topic",
     "topic_name",
+    "totp",
     "upload",
     "worker_process",
 ]

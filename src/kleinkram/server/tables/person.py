@@ -57,6 +57,8 @@ session = Table(
     Column("last_used_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
     Column("expires_at", DateTime(timezone=True), nullable=False),
     Column("revoked_at", DateTime(timezone=True)),
+    # When its person last proved who they are, by password or provider; what is sensitive asks for it again.
+    Column("authenticated_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
 )
 
@@ -82,6 +84,12 @@ token = Table(
     # A run's: good while that run lasts, and for no more than `most`; the record may speak of it when the run is gone.
     Column("run_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
     Column("most", Text),
+    # A runner's: the one runner that may use it, null until the first one does. With `runner_labels`, that runner gets
+    # only runs that ask for one of them.
+    Column("runner_id", Uuid),
+    Column("runner_labels", ARRAY(Text)),
+    CheckConstraint("kind = 'runner' OR (runner_id IS NULL AND runner_labels IS NULL)", name="runner"),
+    Index("ix_token_runner_id", "runner_id", postgresql_where=text("runner_id IS NOT NULL")),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
     CheckConstraint("(run_id IS NULL OR kind = 'run') AND (kind = 'run') = (most IS NOT NULL)", name="run"),
     one_of("most", Right),

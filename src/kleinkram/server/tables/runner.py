@@ -10,6 +10,8 @@ runner = Table(
     metadata,
     id_column(),
     Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
+    # The token with which it last said hello. No foreign key: tokens of runs refer to runs, and these to runners.
+    Column("token_id", Uuid),
     Column("name", Text, nullable=False),
     Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
     Column("capacity", JSONB, nullable=False),

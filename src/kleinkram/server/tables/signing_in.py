@@ -7,6 +7,8 @@ Secrets that are random are kept as SHA-256, passwords as argon2id. What a login
 import enum
 
 from sqlalchemy import (
+    BigInteger,
+    Boolean,
     CheckConstraint,
     Column,
     DateTime,
@@ -65,6 +67,30 @@ password = Table(
     CheckConstraint("hash LIKE '$argon2id$%'", name="hash"),
 )
 
+# The second factor of local accounts (RFC 6238); in use once it is confirmed. `secret` is base32: to check a code takes
+# it as it is. `last_step` is the time step of the last code that was taken: none is taken twice.
+totp = Table(
+    "totp",
+    metadata,
+    Column("person_id", Uuid, ForeignKey("person.id"), primary_key=True),
+    Column("secret", Text, nullable=False),
+    created_at_column(),
+    Column("confirmed_at", DateTime(timezone=True)),
+    Column("last_step", BigInteger, nullable=False, server_default="0"),
+    # Wrong codes since the last right one: after some, codes are not looked at for a while.
+    Column("failed_count", Integer, nullable=False, server_default="0"),
+    Column("failed_at", DateTime(timezone=True)),
+)
+
+# What stands for a code where the device is lost; deleted by its use.
+recovery_code = Table(
+    "recovery_code",
+    metadata,
+    Column("secret_sha256", LargeBinary, primary_key=True),
+    Column("person_id", Uuid, ForeignKey("totp.person_id", ondelete="CASCADE"), nullable=False, index=True),
+    CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+)
+
 one_time_code = Table(
     "one_time_code",
     metadata,
@@ -85,7 +111,8 @@ one_time_code = Table(
     CheckConstraint("(purpose = 'invitation') = (email IS NOT NULL)", name="email"),
 )
 
-# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves.
+# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves,
+# or, where it `renews`, to prove once more who they are.
 oidc_login = Table(
     "oidc_login",
     metadata,
@@ -95,6 +122,7 @@ oidc_login = Table(
     Column("code_verifier", Text, nullable=False),
     Column("browser_sha256", LargeBinary, nullable=False),
     Column("session_id", Uuid, ForeignKey("session.id")),
+    Column("renews", Boolean, nullable=False, server_default=text("false")),
     Column("return_to", Text, nullable=False),
     created_at_column(),
     Column("expires_at", DateTime(timezone=True), nullable=False, index=True),

@@ -8,12 +8,12 @@ from sqlalchemy import Row, Select, exists, func, literal, select, union_all
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.tokens import TokenPlace, TokenRead
+from kleinkram.contract.tokens import TokenPlace, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.db import among
 from kleinkram.server.pages import Order
-from kleinkram.server.tables import audit_event, mission, person, project, token, token_limit
+from kleinkram.server.tables import audit_event, mission, person, project, runner, token, token_limit
 
 # Latest first.
 TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
@@ -22,7 +22,8 @@ TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 def tokens_of(person_id: uuid.UUID | None) -> Select[Any]:
     """Return the tokens of one person, or with None everybody's, as `to_token` reads them; none of a run."""
     own = [column for column in token.c if column is not token.c.secret_sha256]
-    stmt = select(*own, person.c.name.label("person_name")).join_from(token, person)
+    names = person.c.name.label("person_name"), runner.c.name.label("runner_name")
+    stmt = select(*own, *names).join_from(token, person).outerjoin(runner, runner.c.id == token.c.runner_id)
     stmt = stmt.where(token.c.kind != TokenKind.run.value)
     return stmt if person_id is None else stmt.where(token.c.person_id == person_id)
 
@@ -88,6 +89,8 @@ def to_token(row: Row[Any], places: Sequence[Row[Any]]) -> TokenRead:
         expires_at=row.expires_at,
         last_used_at=row.last_used_at,
         revoked_at=row.revoked_at,
+        runner=None if row.runner_id is None else TokenRunner(id=row.runner_id, name=row.runner_name),
+        runner_labels=row.runner_labels,
     )
 
 

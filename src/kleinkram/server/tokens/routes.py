@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.tokens import service
 
@@ -28,9 +28,11 @@ class TokenListQuery(BaseModel):
 
 
 @router.post("", operation_id="create_token", status_code=201)
-async def create_token(wanted: TokenCreate, db: Transaction, actor: CurrentActor) -> TokenMade:
+async def create_token(
+    wanted: TokenCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> TokenMade:
     """Make a token; its secret is shown here and never again."""
-    return await service.create_token(db, actor, wanted=wanted)
+    return await service.create_token(db, actor, wanted=wanted, settings=settings)
 
 
 @router.get("", operation_id="list_tokens")

@@ -23,11 +23,12 @@ from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import hold_person, see_that_they_stay
+from kleinkram.server.access.rights import hold_person, require_fresh_sign_in, see_that_they_stay
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.pages import PageRequest, Rows, fetch_page
+from kleinkram.server.settings import Settings
 from kleinkram.server.tables import token, token_limit
 from kleinkram.server.tokens import queries
 
@@ -53,25 +54,30 @@ class Made(str, enum.Enum):
     kept = "kept"
 
 
-async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate) -> TokenMade:
+async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate, settings: Settings) -> TokenMade:
     """Make a token for `actor` and return it with its secret.
 
     Raises:
         NotFound: a project or mission to limit it to is not there, or not for this actor.
         Forbidden: only admins make tokens for runners.
         TokenTooWide: it could do more than the token that it is made with.
-        InvalidRequest: it would have expired already.
+        InvalidRequest: it would have expired already, or be good for longer than the settings allow.
+        SignInTooOld: it has the scope admin, and `actor` signed in too long ago.
     """
+    if Scope.admin in wanted.chosen_scopes:
+        require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if wanted.kind is TokenKind.runner and not actor.is_admin:
         raise Forbidden(noun="server", operation="make a token for a runner", needs="an admin")
     await _see_that_places_are_there(db, actor, wanted)
-    expires_at = await _expiry(db, actor, wanted)
+    expires_at = await _expiry(db, actor, wanted, settings)
     _see_that_it_is_no_wider(actor, wanted)
     token_id, secret = await issue_token(
         db, actor.person_id, wanted=wanted, expires_at=expires_at, made_by=actor.token_id
     )
     made = await get_token(db, actor, token_id)
-    after = made.model_dump(mode="json", include={"kind", "scopes", "limits", "expires_at", "prefix"})
+    after = made.model_dump(
+        mode="json", include={"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
+    )
     event = Event(
         "token.create", "token", token_id, made.name, None, after=after, by_power=wanted.kind is TokenKind.runner
     )
@@ -112,6 +118,8 @@ async def issue_token(
             is_limited=wanted.is_limited,
             expires_at=expires_at,
             made_by_token_id=made_by,
+            runner_id=wanted.runner_id,
+            runner_labels=wanted.runner_labels,
         )
     )
     limits = [{"project_id": each, "mission_id": None} for each in dict.fromkeys(wanted.project_ids)]
@@ -224,16 +232,36 @@ async def _see_that_places_are_there(db: Connection, actor: Actor, wanted: Token
                 raise NotFound(noun=noun, ref=str(each))
 
 
-async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate) -> datetime.datetime | None:
-    """Return when the token will end: as wanted, else with the token that it is made with."""
+async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate, settings: Settings) -> datetime.datetime | None:
+    """Return when the token will end: as wanted, else as the settings say; never after the one that it is made with."""
     own = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
     now, latest = (await db.execute(select(func.now(), own))).one()
+    most = settings.token_days_max
+    # A minute of grace: whoever counts the days does so a little earlier.
+    longest = now + datetime.timedelta(days=most, minutes=1)
+    if most and (wanted.no_end or (wanted.expires_at is not None and wanted.expires_at > longest)):
+        message = f"a token of this server is good for {most} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
+        field = "no_end" if wanted.no_end else "expires_at"
+        raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
     if wanted.expires_at is not None and wanted.expires_at <= now:
         problem = FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
         raise InvalidRequest(problems=[problem])
     if wanted.expires_at is not None and latest is not None and wanted.expires_at > latest:
         raise TokenTooWide(reason=f"it would outlive it, which ends at {latest.isoformat(timespec='seconds')}")
-    return wanted.expires_at or latest
+    if wanted.expires_at is not None or wanted.no_end:
+        return wanted.expires_at or latest
+    days = default_days(wanted.kind, settings)
+    usual = None if days is None else now + datetime.timedelta(days=days)
+    return min((each for each in (usual, latest) if each is not None), default=None)
+
+
+def default_days(kind: TokenKind, settings: Settings) -> int | None:
+    """Return how long a token is good for of which nobody said how long; None for ever."""
+    most = settings.token_days_max or None
+    # A runner works by itself for long, and for no more than its own runs.
+    if kind is TokenKind.runner:
+        return most
+    return settings.token_days_default if most is None else min(settings.token_days_default, most)
 
 
 def _see_that_it_is_no_wider(actor: Actor, wanted: TokenCreate) -> None:

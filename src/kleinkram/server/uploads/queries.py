@@ -11,7 +11,7 @@ from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
-from kleinkram.server.tables import blob, file, mission, run, runner, upload
+from kleinkram.server.tables import blob, file, mission, run, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
 
@@ -22,8 +22,7 @@ Content = tuple[int, bytes]
 def own_uploads(actor: Actor) -> Select[Any]:
     """Return the uploads that `actor` began, in missions that they may still fill; a runner: of runs that it holds."""
     if actor.kind is ActorKind.runner:
-        mine = select(runner.c.id).where(runner.c.person_id == actor.person_id)
-        held = select(run.c.id).where(run.c.runner_id.in_(mine), run.c.state.in_(HELD))
+        held = select(run.c.id).where(run.c.runner_id == actor.runner_id, run.c.state.in_(HELD))
         return select(upload).where(upload.c.run_id.in_(held))
     missions = visible_missions(actor, Right.create).with_only_columns(mission.c.id)
     own = (upload.c.person_id == actor.person_id) & upload.c.run_id.is_(None)

@@ -7,6 +7,7 @@ import type { components } from "@/api/schema";
 type Schemas = components["schemas"];
 export type Account = Schemas["AccountRead"];
 export type Identity = Schemas["IdentityRead"];
+export type TotpEnrolment = Schemas["TotpEnrolment"];
 
 /** The page itself, where a provider sends one back to. */
 const HERE = "/account";
@@ -41,6 +42,26 @@ export function useLink() {
       globalThis.location.assign(begun.url);
     },
   });
+}
+
+/** What is done to one's second factor; the account tells of it afterwards. */
+export function useTotp() {
+  const queries = useQueryClient();
+  const refresh = () => void queries.invalidateQueries({ queryKey: keys.account });
+  const changed = async <Data>(asked: Promise<Data>): Promise<Data> => {
+    try {
+      return await asked;
+    } finally {
+      refresh();
+    }
+  };
+  return {
+    begin: () => call(api.POST("/api/v1/me/totp")),
+    confirm: (code: string) => call(api.POST("/api/v1/me/totp/confirm", { body: { code } })),
+    renew: () => call(api.POST("/api/v1/me/totp/recovery-codes")),
+    disable: () => changed(call(api.DELETE("/api/v1/me/totp"))),
+    refresh,
+  };
 }
 
 export function useChangePassword() {

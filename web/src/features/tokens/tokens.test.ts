@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import { type Draft, ending, isContained, isReady, scopesOf, wanted } from "./tokens";
 import type { Token } from "@/api/types";
 
-const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null };
+const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null, labels: "" };
 
 describe("a draft of a token", () => {
   it("is ready once it has a name, something that it may, and a robot's limits", () => {
@@ -15,8 +15,13 @@ describe("a draft of a token", () => {
   it("is sent without what is contained anyway", () => {
     expect(wanted({ ...draft, scopes: ["read", "write", "run"] })).toMatchObject({ name: "anymal-3", scopes: ["write", "run"] });
   });
-  it("of a runner has no limits, whatever was chosen before", () => {
-    expect(wanted({ ...draft, kind: "runner" })).toMatchObject({ scopes: ["run"], project_ids: [], mission_ids: [] });
+  it("of a runner is limited to projects and labels", () => {
+    const sent = wanted({ ...draft, kind: "runner", labels: " gpu, ,site=zurich " });
+    expect(sent).toMatchObject({ scopes: ["run"], project_ids: ["p"], runner_labels: ["gpu", "site=zurich"] });
+  });
+  it("has no end only where that was chosen", () => {
+    expect(wanted(draft)).toMatchObject({ expires_at: null, no_end: true });
+    expect(wanted({ ...draft, until: "2027-01-01T00:00:00Z" })).toMatchObject({ no_end: false });
   });
 });
 

@@ -21,6 +21,8 @@ export interface Draft {
   readonly projectIds: readonly string[];
   readonly missionIds: readonly string[];
   readonly until: string | null;
+  /** Of a runner's token: with commas between. */
+  readonly labels: string;
 }
 
 /** Returns the scopes that a kind may have, and those that it has unless said. */
@@ -39,16 +41,19 @@ export function isReady(draft: Draft): boolean {
   return draft.name.trim() !== "" && draft.scopes.length > 0 && (draft.kind !== "robot" || isLimited);
 }
 
-/** Returns what is sent; a runner's token has no limits and one scope. */
+/** Returns what is sent; a runner's token has one scope, and is limited to projects and labels at most. */
 export function wanted(draft: Draft): TokenCreate {
   const isRunner = draft.kind === "runner";
+  const labels = draft.labels.split(",").map((label) => label.trim()).filter((label) => label !== "");
   return {
     name: draft.name.trim(),
     kind: draft.kind,
     scopes: isRunner ? ["run"] : draft.scopes.filter((scope) => !isContained(scope, draft.scopes)),
-    project_ids: isRunner ? [] : [...draft.projectIds],
-    mission_ids: isRunner ? [] : [...draft.missionIds],
+    project_ids: [...draft.projectIds],
+    mission_ids: [...draft.missionIds], // of a runner's token, the server refuses them
     expires_at: draft.until,
+    no_end: draft.until === null,
+    ...(isRunner && labels.length > 0 ? { runner_labels: labels } : {}),
   };
 }
 

@@ -29,8 +29,26 @@ async function ask(method, path, body) {
     body: body === undefined ? undefined : JSON.stringify(body),
   });
   const told = answer.status === 204 ? null : await answer.json();
-  if (!answer.ok) throw Object.assign(new Error(told.detail), { status: answer.status });
+  if (!answer.ok) throw Object.assign(new Error(told.detail), { status: answer.status, code: told.code });
   return told;
+}
+
+// Whoever is signed in, but too long ago, proves once more who they are, in this very session.
+const isAgain = asked.has("again");
+
+function signInAgain() {
+  location.replace("/sign-in?" + new URLSearchParams({ return_to: here(), again: "1" }));
+}
+
+function askForSecondFactor() {
+  const field = document.getElementById("second-factor");
+  field.hidden = false;
+  field.querySelector("input").focus();
+}
+
+// What is empty is not sent: an account without a second factor has no code.
+function filled(given) {
+  return Object.fromEntries(Object.entries(given).filter(([name, value]) => name !== "second_factor" || value));
 }
 
 function letPress(may) {
@@ -42,7 +60,12 @@ async function attempt(work) {
   try {
     await work();
   } catch (error) {
+    if (error.code === "sign_in_too_old") return signInAgain();
     say(error.message);
+    if (error.code === "second_factor_needed" || error.code === "second_factor_wrong") {
+      letPress(true);
+      return askForSecondFactor();
+    }
   }
   letPress(true);
 }
@@ -69,7 +92,8 @@ function over(text) {
 
 const forms = {
   password: async (given) => {
-    await ask("POST", "/auth/password", given);
+    const { email, ...known } = filled(given);
+    await ask("POST", isAgain ? "/auth/password/again" : "/auth/password", isAgain ? known : { email, ...known });
     location.assign(home());
   },
   invitation: async (given) => {
@@ -77,7 +101,7 @@ const forms = {
     location.replace(home());
   },
   reset: async (given) => {
-    await ask("POST", "/auth/reset", { ...given, code });
+    await ask("POST", "/auth/reset", { ...filled(given), code });
     location.replace(home());
   },
   claim: async (given) => {
@@ -120,15 +144,26 @@ const decisions = {
 
 const acts = {
   begin: async (button) => {
-    const told = await ask("POST", `/auth/providers/${button.dataset.provider}`, { return_to: home() });
+    const told = await ask("POST", `/auth/providers/${button.dataset.provider}${isAgain ? "/again" : ""}`, { return_to: home() });
     location.assign(told.url);
   },
   approve: async () => decisions[page].approve(),
   deny: async () => decisions[page].deny(),
 };
 
+async function beginAgain() {
+  const me = await ask("GET", "/me").catch(() => null);
+  if (me === null) return location.replace("/sign-in?" + new URLSearchParams({ return_to: home() }));
+  say(`Prove once more that you are ${me.person.name}. The owner of klein up opens a new link: klein session link.`);
+  const email = document.querySelector("[name=email]");
+  if (email === null) return;
+  email.required = false;
+  email.closest("label").hidden = true;
+}
+
 const begin = {
   "sign-in": async () => {
+    if (isAgain) await beginAgain();
     document.getElementById("claim").hidden = !(await ask("GET", "/auth/ways")).claim;
   },
   link: async () => {

@@ -1,0 +1,126 @@
+"""A runner's token is for one runner, and for the projects and labels that it was made for."""
+
+import uuid
+from typing import Any
+
+import pytest
+
+from tests.integration.running import Api
+from tests.integration.runs.conftest import Place, Played, launch
+
+
+def _token(lab: Api, **wanted: Any) -> Any:
+    return lab.post("/tokens", {"name": "for a runner", "kind": "runner", **wanted}).ok(201)
+
+
+def _runner(lab: Api, made: Any, **said: Any) -> Played:
+    return Played(lab.as_(made["secret"]), **said)
+
+
+def test_the_first_runner_that_uses_a_token_is_the_only_one(lab: Api) -> None:
+    made = _token(lab)
+    first, second = _runner(lab, made), _runner(lab, made)
+    first.hello()
+    refused = second.api.post("/runners", {**_hello(second)}).refused(403, "forbidden")
+    assert "klein token create" in refused["detail"]
+    first.hello()
+    (listed,) = [each for each in lab.all("/tokens") if each["id"] == made["token"]["id"]]
+    assert listed["runner"] == {"id": first.id, "name": f"runner {first.id[:4]}"}
+    (shown,) = [each for each in lab.all("/runners") if each["id"] == first.id]
+    assert shown["token"]["id"] == made["token"]["id"]
+    assert "token.bind" in [event["operation"] for event in lab.events(made["token"]["id"])]
+
+
+def test_a_token_of_the_same_person_reaches_no_runs_of_another_runner(lab: Api, place: Place) -> None:
+    runner, other = (_runner(lab, _token(lab)) for _ in range(2))
+    runner.hello()
+    other.hello()
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    attempt = {"attempt": str(claim["attempt"])}
+    other.api.get(f"/runner/runs/{claim['run_id']}/context", attempt).refused(409, "run_gone")
+    other.finish(claim).refused(409, "run_gone")
+    other.api.post(f"/runners/{runner.id}/claims", {"free": _hello(other)["capacity"]}).refused(403, "forbidden")
+    other.api.post(f"/runners/{runner.id}/beats", {"runs": []}).refused(403, "forbidden")
+    assert runner.beat(claim) == "go_on"
+
+
+def test_a_token_that_names_its_runner_is_for_no_other(lab: Api) -> None:
+    mine, other = (Played(lab) for _ in range(2))
+    made = _token(lab, runner_id=mine.id)
+    lab.as_(made["secret"]).post("/runners", _hello(other)).refused(403, "forbidden")
+    lab.as_(made["secret"]).post("/runners", _hello(mine)).ok()
+
+
+def test_a_fresh_token_takes_no_runner_over_whose_token_is_good(lab: Api) -> None:
+    made = _token(lab)
+    runner = _runner(lab, made)
+    runner.hello()
+    lab.as_(_token(lab)["secret"]).post("/runners", _hello(runner)).refused(403, "forbidden")
+    lab.delete(f"/tokens/{made['token']['id']}").ok(204)
+    lab.as_(_token(lab)["secret"]).post("/runners", _hello(runner)).ok()
+
+
+def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place) -> None:
+    elsewhere = lab.project()
+    runner = _runner(lab, _token(lab, project_ids=[elsewhere["id"]]))
+    runner.hello()
+    made = launch(lab, runner, place.mission)
+    assert runner.claim() is None
+    assert "limited to other projects" in lab.get(f"/runs/{made['id']}").ok()["waits_for"]
+    allowed = _runner(lab, _token(lab, project_ids=[place.project["id"]]), labels=runner.labels)
+    allowed.hello()
+    assert allowed.claim()["run_id"] == made["id"]
+
+
+def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place: Place) -> None:
+    label = f"gpu-{uuid.uuid4().hex[:6]}"
+    runner = _runner(lab, _token(lab, runner_labels=[label]), labels=[label])
+    runner.hello()
+    plain = lab.post("/runs", _run(place, [])).ok()["items"][0]["run"]
+    assert runner.claim() is None
+    asked = lab.post("/runs", _run(place, [label])).ok()["items"][0]["run"]
+    assert runner.claim()["run_id"] == asked["id"]
+    lab.post(f"/runs/{plain['id']}/cancel").ok()
+    greedy = Played(runner.api, id=runner.id, labels=[label, "another"])
+    refused = greedy.api.post("/runners", _hello(greedy)).refused(403, "forbidden")
+    assert "another" in refused["detail"]
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"kind": "runner", "mission_ids": [str(uuid.uuid4())]},
+        {"kind": "runner", "scopes": ["read"]},
+        {"kind": "personal", "runner_id": str(uuid.uuid4())},
+        {"kind": "personal", "runner_labels": ["gpu"]},
+    ],
+)
+def test_limits_that_make_no_sense_are_refused(lab: Api, wanted: dict[str, Any]) -> None:
+    lab.post("/tokens", {"name": "odd", **wanted}).refused(422, "invalid_request")
+
+
+def test_a_runner_from_before_keeps_its_runs_and_its_token(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    lab.sql("UPDATE token SET runner_id = NULL WHERE runner_id = %s", uuid.UUID(runner.id))
+    assert runner.beat(claim) == "go_on"
+    runner.finish(claim).ok()
+
+
+def _hello(played: Played) -> dict[str, Any]:
+    """Return what a runner says of itself."""
+    said: dict[str, Any] = {}
+
+    class Listening:
+        def post(self, _path: str, body: dict[str, Any]) -> Any:
+            said.update(body)
+            return type("Answered", (), {"ok": lambda _self: None})()
+
+    Played(Listening(), id=played.id, labels=played.labels).hello()  # type: ignore[arg-type]  # hears, and asks nobody
+    return said
+
+
+def _run(place: Place, labels: list[str]) -> dict[str, Any]:
+    action = {"name": "count", "script": "print('hello')\n", "resources": {"labels": labels}}
+    return {"mission_ids": [place.mission["id"]], "definition": action, "force": True}
