@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right, Scope, TokenKind
-from kleinkram.server.access.owner import OWNER_ID
+from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
 from tests.integration.conftest import StartApi
 from tests.integration.running import Api

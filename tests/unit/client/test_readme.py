@@ -15,6 +15,16 @@ def test_the_python_of_the_readme_passes_mypy(tmp_path: Path) -> None:
         (tmp_path / f"example_{number}.py").write_text(example, encoding="utf-8")
     settings = tmp_path / "mypy.ini"
     settings.write_text("[mypy]\n[mypy-pyarrow.*,pandas.*,awscrt.*,lz4.*]\nignore_missing_imports = true\n")
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file", str(settings), "--follow-imports", "silent", "."]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--config-file",
+        str(settings),
+        "--follow-imports",
+        "silent",
+        ".",
+    ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=110)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -43,7 +43,7 @@ SERVER = text(
 
 def queued_runs() -> Select[Any]:
     """Return what queued runs need of a runner, under the names of `Needs`, and how many need the same."""
-    needs = [run.c[name] for name in Needs._fields]
+    needs = [mission.c.project_id, *(run.c[name] for name in Needs._fields if name != "project_id")]
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
     joined = select(*needs, func.count().label("number")).join_from(run, mission).join(project)
     return joined.where(*live).group_by(*needs).order_by(func.count().desc()).limit(200)

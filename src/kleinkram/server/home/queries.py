@@ -112,7 +112,7 @@ def failed_runs(actor: Actor, *, limit: int) -> Select[Any]:
 
 def queued_runs(actor: Actor, *, limit: int) -> Select[Any]:
     """Return what queued runs need of a runner, under the names of `Needs`, and how many do so on each mission."""
-    needs = [run.c[name] for name in Needs._fields]
+    needs = [run.c[name] for name in Needs._fields if name != "project_id"]
     named = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
     number = func.count().label("number")
     stmt = visible_runs(actor).with_only_columns(*named, *needs, number, maintain_column_froms=True)

@@ -1,6 +1,7 @@
 """Which runner could do a run, and why none does."""
 
 import datetime
+import uuid
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
@@ -54,12 +55,13 @@ async def is_owners_alone(db: Connection) -> bool:
 async def known_runners(db: Connection) -> Sequence[Row[Any]]:
     """Return the runners seen in the last week, with `is_alive`: those on which a queued run may still start."""
     expected = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
-    return (await db.execute(select(runner, is_alive().label("is_alive")).where(expected))).all()
+    return (await db.execute(with_limits(select(runner, is_alive().label("is_alive"))).where(expected))).all()
 
 
 class Needs(NamedTuple):
-    """What a run needs of a runner, under the names of the columns of `run`."""
+    """What a run needs of a runner, under the names of the columns of `run`; `project_id`: of its mission, or any."""
 
+    project_id: uuid.UUID | None
     labels: Sequence[str]
     needs_images: bool
     network: str
@@ -85,7 +87,7 @@ def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str
     capacity = Capacity.model_validate(each.capacity)
     if is_for_owner_only(abilities) and not owners_alone:
         return "it runs actions without containers, which is allowed only while one person alone has an account"
-    if each.only_project_ids is not None and run.project_id not in each.only_project_ids:
+    if each.only_project_ids is not None and run.project_id not in {None, *each.only_project_ids}:
         return "its token is limited to other projects"
     if each.only_labels is not None and not set(run.labels) & set(each.only_labels):
         return f"its token is limited to actions that ask for the label {' or '.join(sorted(each.only_labels))}"
@@ -152,7 +154,7 @@ def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, o
     if owners_alone or not known:
         return None
     if all(is_for_owner_only(Abilities.model_validate(each.abilities)) for each in known):
-        plain = Needs([], needs_images=False, network=Network.none.value, cores=0, memory_bytes=0, disk_bytes=0, gpus=0)
+        plain = Needs(None, [], False, Network.none.value, 0, 0, 0, 0)
         return f"Actions cannot be run. {why_never(plain, known, owners_alone=owners_alone)}"
     return None
 

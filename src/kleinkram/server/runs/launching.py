@@ -52,6 +52,14 @@ _RESERVED = {CONTEXT_FILE, ".kleinkram"}
 
 
 @dataclass(frozen=True)
+class Runners:
+    """The runners that may do a run, and whether one person alone has an account."""
+
+    known: Sequence[Row[Any]]
+    owners_alone: bool
+
+
+@dataclass(frozen=True)
 class Task:
     """What is to be run, wherever."""
 
@@ -61,8 +69,7 @@ class Task:
     # Of whose missions alone it is; null for those of all.
     project_id: uuid.UUID | None
     parameters: ParameterValues
-    # Why no runner can ever do it, and the remedy; null where one can.
-    why_never: str | None
+    runners: Runners
 
 
 async def launch(db: Connection, actor: Actor, *, wanted: RunsCreate) -> RunsMade:
@@ -91,8 +98,7 @@ async def task_of(db: Connection, version_id: uuid.UUID, parameters: ParameterVa
     stmt = select(action_version, action.c.project_id).outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(stmt.where(action_version.c.id == version_id))).one()
     definition = ActionDefinition.model_validate(row.definition)
-    reason = await _why_never(db, definition)
-    return Task(version_id, definition, row.image_digest, row.project_id, parameters, reason)
+    return Task(version_id, definition, row.image_digest, row.project_id, parameters, await _runners(db))
 
 
 async def make_run(
@@ -118,8 +124,8 @@ async def make_run(
     inputs = await _inputs(db, actor, task.definition, place)
     given = _given(task, inputs)
     earlier = None if force else await _earlier(db, task, mission_id, given)
-    if earlier is None and task.why_never is not None:
-        raise NoRunner(action=task.definition.name, reason=task.why_never)
+    if earlier is None:
+        _raise_if_never(task, place.project_id)
     run_id = uuid.uuid4()
     values = _values(task, inputs) | {"given_sha256": given, "mission_id": mission_id, "started_by_id": actor.person_id}
     if earlier is not None:
@@ -161,16 +167,25 @@ async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
     except ParametersWrong as error:
         problems = [FieldProblem(field=f"parameters.{name}", message=said) for name, said in error.problems.items()]
         raise InvalidRequest(problems=problems) from error
-    return Task(version_id, definition, digest, project_id, parameters, await _why_never(db, definition))
+    return Task(version_id, definition, digest, project_id, parameters, await _runners(db))
 
 
-async def _why_never(db: Connection, definition: ActionDefinition) -> str | None:
-    return why_never(_needs(definition), await known_runners(db), owners_alone=await is_owners_alone(db))
+async def _runners(db: Connection) -> Runners:
+    return Runners(await known_runners(db), await is_owners_alone(db))
 
 
-def _needs(definition: ActionDefinition) -> Needs:
+def _raise_if_never(task: Task, project_id: uuid.UUID) -> None:
+    """Refuse a run that no runner can ever do, with the remedy."""
+    needs = _needs(task.definition, project_id)
+    reason = why_never(needs, task.runners.known, owners_alone=task.runners.owners_alone)
+    if reason is not None:
+        raise NoRunner(action=task.definition.name, reason=reason)
+
+
+def _needs(definition: ActionDefinition, project_id: uuid.UUID | None = None) -> Needs:
     needed = definition.resources
     return Needs(
+        project_id=project_id,
         labels=needed.labels,
         needs_images=definition.image is not None,
         network=definition.network.value,
@@ -241,7 +256,7 @@ async def _earlier(db: Connection, task: Task, mission_id: uuid.UUID, given: byt
 
 def _values(task: Task, inputs: Sequence[Row[Any]]) -> dict[str, Any]:
     return {
-        **_needs(task.definition)._asdict(),
+        **{name: value for name, value in _needs(task.definition)._asdict().items() if name != "project_id"},
         "version_id": task.version_id,
         "parameters": task.parameters,
         "input_count": len(inputs),
