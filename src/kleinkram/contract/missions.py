@@ -136,6 +136,11 @@ class MissionSort(str, enum.Enum):
     start_desc = "-start"
 
 
+# An order by a field of the metadata: `meta.robot`, `-meta.site.latitude`. Missions without the field come last.
+MetadataSort = Annotated[str, Field(pattern=r"^-?meta\.[A-Za-z][A-Za-z0-9_.]{0,199}$")]
+MissionOrder = MissionSort | MetadataSort
+
+
 class MissionFilter(BaseModel):
     """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
 

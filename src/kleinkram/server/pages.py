@@ -13,12 +13,13 @@ from types import MappingProxyType
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
 
-_TYPES: dict[str, Callable[[str], Any]] = {"s": str, "i": int, "d": datetime.datetime.fromisoformat, "u": uuid.UUID}
+_TYPES: dict[str, Callable[[str], Any]] = {"s": str, "i": int, "d": datetime.datetime.fromisoformat, "u": uuid.UUID, "j": json.loads}
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,8 @@ def _begins_after(request: PageRequest, order: Order) -> dict[str, object]:
 
 
 def _encode(row: Row[Any], order: Order) -> str:
-    values = [_to_text(row._mapping[f"_key_{number}"]) for number in range(len(order.columns))]
+    keys = ((row._mapping[f"_key_{number}"], column.type) for number, column in enumerate(order.columns))
+    values = ["j" + json.dumps(key) if isinstance(kind, JSONB) else _to_text(key) for key, kind in keys]
     return base64.urlsafe_b64encode(json.dumps([order.signature, *values]).encode()).decode().rstrip("=")
 
 

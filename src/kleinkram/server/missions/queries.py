@@ -1,6 +1,7 @@
 """What is asked of missions. Functions return selects; they touch no connection."""
 
 import functools
+import json
 import uuid
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,14 +14,17 @@ from sqlalchemy import (
     Select,
     Update,
     bindparam,
+    case,
     func,
     literal,
+    null,
     select,
     update,
 )
+from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.missions import MissionFilter, MissionRead, MissionRef, MissionSort
+from kleinkram.contract.missions import MissionFilter, MissionOrder, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
@@ -40,6 +44,7 @@ from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.looking import drawn_missions, walking
 from kleinkram.server.search.matching import narrow_missions, narrow_missions_found
+from kleinkram.server.search.where import metadata_key
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -142,7 +147,7 @@ def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter |
 
 
 @functools.lru_cache(maxsize=KEPT)
-def listed(asked: Asked[MissionFilter], sort: MissionSort, page: PageRequest) -> Listed:
+def listed(asked: Asked[MissionFilter], sort: MissionOrder, page: PageRequest) -> Listed:
     """Return the list of the visible missions that match, as `to_missions` reads them, for all pages `alike`."""
     # Filters may be about the project: without the join they would stand beside it and narrow nothing.
     every = add_up_missions(asked.actor, func.count()).join(project, project.c.id == mission.c.project_id)
@@ -151,7 +156,7 @@ def listed(asked: Asked[MissionFilter], sort: MissionSort, page: PageRequest) ->
 
 
 def list_matching(
-    actor: Actor, matching: MissionFilter, found: FileFilter | None, sort: MissionSort, page: PageRequest
+    actor: Actor, matching: MissionFilter, found: FileFilter | None, sort: MissionOrder, page: PageRequest
 ) -> Listed:
     """Return the list of `matching_missions`, as `to_missions` reads them."""
     matched, order = matching_missions(actor, matching, found), mission_order(actor, sort)
@@ -159,7 +164,7 @@ def list_matching(
 
 
 @functools.lru_cache(maxsize=KEPT)
-def page_of_found(asked: Asked[FileFilter], sort: MissionSort, *, limit: int, counted: bool) -> Select[Any]:
+def page_of_found(asked: Asked[FileFilter], sort: MissionOrder, *, limit: int, counted: bool) -> Select[Any]:
     """Return the first page of the visible missions that a query of files finds, as `to_missions` reads them."""
     matched = matching_missions(asked.actor, MissionFilter(), asked.matching)
     described = functools.partial(rows_of_found, asked.actor)
@@ -185,8 +190,13 @@ def count_drawn(asked: Asked[FileFilter]) -> Select[Any]:
     )
 
 
-def mission_order(actor: Actor, sort: MissionSort) -> Order:
-    """Return a list's order. Missions without a time come last, whichever way the list runs."""
+def mission_order(actor: Actor, sort: MissionOrder) -> Order:
+    """Return a list's order. Missions without a time, or without the field, come last, whichever way the list runs.
+
+    Who sees no metadata sees no order by it either.
+    """
+    if not isinstance(sort, MissionSort):
+        return _order_by_metadata(sort, is_seen=sees_whole_missions(actor))
     return _order_of_whole(sort) if sees_whole_missions(actor) else _order(sort, shown_span(actor)[0])
 
 
@@ -204,6 +214,15 @@ def _order(sort: MissionSort, start_ns: ColumnElement[int | None]) -> Order:
         "start": [func.coalesce(start_ns, unknown)],
     }
     return Order([*columns[sort.value.removeprefix("-")], mission.c.id], descending)
+
+
+def _order_by_metadata(sort: str, *, is_seen: bool) -> Order:
+    descending = sort.startswith("-")
+    path = sort.removeprefix("-").split(".")[1:]
+    value = metadata_key(path) if is_seen else null()
+    has_none = value.is_(None) if not descending else value.is_not(None)
+    columns = [case((has_none, 1), else_=0), func.coalesce(value, bindparam(None, "", JSONB)), mission.c.id]
+    return Order(columns, descending, name="meta." + json.dumps(path))
 
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:

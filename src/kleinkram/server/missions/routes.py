@@ -5,7 +5,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
+from kleinkram.contract.missions import (
+    MissionCreate,
+    MissionFilter,
+    MissionOrder,
+    MissionRead,
+    MissionSort,
+    MissionUpdate,
+)
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import parse
 from kleinkram.contract.searching import QueryText
@@ -19,10 +26,13 @@ router = APIRouter(prefix="/api/v1", tags=["missions"])
 
 
 class MissionListQuery(MissionFilter):
-    """The query of a list of missions. With `query`, those that it finds: by what they say, or by their files."""
+    """The query of a list of missions. With `query`, those that it finds: by what they say, or by their files.
+
+    `sort` is a column, or a field of the metadata such as `meta.robot`; a leading `-` reverses it.
+    """
 
     query: QueryText | None = None
-    sort: MissionSort = MissionSort.name
+    sort: MissionOrder = MissionSort.name
     limit: PageSize = 100
     cursor: Cursor | None = None
     count: bool = False

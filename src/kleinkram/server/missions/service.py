@@ -19,6 +19,7 @@ from kleinkram.contract.metadata import Metadata, MetadataFields
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
+    MissionOrder,
     MissionRead,
     MissionSort,
     MissionTemplate,
@@ -107,7 +108,7 @@ async def list_missions(
     *,
     matching: MissionFilter,
     found: FileFilter | None = None,
-    sort: MissionSort,
+    sort: MissionOrder,
     page: PageRequest,
 ) -> Page[MissionRead]:
     """Return a page of the missions that match, among those that a query finds, by themselves or by their files.

@@ -8,7 +8,7 @@ text by code point (so ISO dates compare as dates); a value in double quotes is 
 import re
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, Text, and_, bindparam, func, not_, or_
+from sqlalchemy import ColumnElement, Text, and_, bindparam, case, func, not_, or_, type_coerce
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
 from kleinkram.contract.errors import InvalidQuery
@@ -18,6 +18,8 @@ from kleinkram.server.search.globs import like_pattern
 from kleinkram.server.tables import mission
 
 _NUMBER = re.compile(r"[-+]?(\d{1,18}|\d{0,18}\.\d{1,18}|\d{1,18}\.)([eE][-+]?\d{1,2})?", re.ASCII)
+# So many characters of a text decide its place in a list: they also have room in the cursor of a page.
+_KEY_CHARACTERS = 100
 _Scalar = str | bool | int | float
 
 
@@ -47,6 +49,18 @@ def condition(expression: str) -> ColumnElement[bool]:
 def metadata_text(path: Sequence[str]) -> ColumnElement[str]:
     """Return a field of the mission's metadata as text, null where it has none."""
     return _text_at(path)
+
+
+def metadata_key(path: Sequence[str]) -> ColumnElement[object]:
+    """Return a field of the mission's metadata as a list is ordered by it, null where it has none.
+
+    Text comes before numbers, numbers before booleans; lists and places are ordered as text.
+    """
+    value = _at(path)
+    kind = func.jsonb_typeof(value)
+    text = func.to_jsonb(func.left(_text_at(path), _KEY_CHARACTERS), type_=JSONB())
+    key = case((kind.in_(["number", "boolean"]), value), (kind == "null", None), else_=text)
+    return type_coerce(key, JSONB())
 
 
 def _keys(path: Sequence[str]) -> ColumnElement[Sequence[str]]:
