@@ -10,7 +10,7 @@ from kleinkram.cli.commands import Noun
 from kleinkram.cli.completion import complete_project
 from kleinkram.cli.options import AsJson, DryRun, IfEdition, Limit, ProjectOption, Yes, confirm, read_text, the_ref
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import count, duration, parse_size, size
+from kleinkram.cli.units import count, parse_size, size, total_hours
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
@@ -190,4 +190,4 @@ def _show(project: ProjectRead, as_json: bool) -> None:
 
 
 def _hours(project: ProjectRead) -> str | None:
-    return duration(project.duration_ns) if project.duration_ns else None
+    return total_hours(project.duration_ns) if project.duration_ns else None

@@ -7,6 +7,7 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.amounts import read_size, read_time
 
 _NS = 1_000_000_000
+_YEAR_S = 365.25 * 86_400
 
 
 def count(number: int, noun: str, plural: str = "") -> str:
@@ -93,9 +94,20 @@ def duration(nanoseconds: int | None) -> str | None:
         if nanoseconds == 0:
             return "0 s"
         return f"{seconds:.3f} s" if seconds < 10 else f"{seconds:.1f} s"
+    if seconds >= _YEAR_S:
+        return f"{seconds / _YEAR_S:.1f} years"
+    if seconds >= 100 * 3600:
+        return f"{seconds / 86_400:.1f} days"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def total_hours(nanoseconds: int | None) -> str | None:
+    """Return a sum of recorded time as a person reads it: in hours where it is long."""
+    if nanoseconds is None or nanoseconds < 100 * 3600 * _NS:
+        return duration(nanoseconds)
+    return f"{round(nanoseconds / (3600 * _NS)):,} h"
 
 
 def instant(nanoseconds: int | None) -> str | None:

@@ -14,7 +14,14 @@ from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import MissionCreate, MissionFilter, MissionRead, MissionSort, MissionUpdate
+from kleinkram.contract.missions import (
+    MissionCreate,
+    MissionFilter,
+    MissionOrder,
+    MissionRead,
+    MissionSort,
+    MissionUpdate,
+)
 from kleinkram.contract.timelines import MissionTimeline, TimelineFile
 from kleinkram.contract.topics import MAX_MISSION_TOPICS, MissionTopics
 from kleinkram.contract.trash import Deleted
@@ -31,11 +38,11 @@ class Missions:
         matching: MissionFilter | None = None,
         *,
         query: str | None = None,
-        sort: MissionSort | None = None,
+        sort: MissionOrder | None = None,
         limit: int | None = None,
         **fields: Unpack[MissionFields],
     ) -> Listing[MissionRead]:
-        """Yield the missions that match, by name unless `sort` says otherwise.
+        """Yield the missions that match, by name unless `sort` says otherwise: also by metadata, as in `meta.robot`.
 
         Say which by keywords, as in `list(project="alpine", topic="*imu*")` (those of `MissionFields`), or by a filter.
         With the text of a `query`, those that it finds: by what they say themselves, or by their files.
@@ -43,7 +50,8 @@ class Missions:
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        asked = query_of(as_mission_filter(matching, fields), query=query, sort=sort.value if sort else None)
+        order = sort.value if isinstance(sort, MissionSort) else sort
+        asked = query_of(as_mission_filter(matching, fields), query=query, sort=order)
         return pages(self._api, "/missions", MissionRead, asked, limit=limit)
 
     def count(

@@ -20,6 +20,8 @@ from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Sever
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000
 MAX_SAMPLES = 720
+# Metrics that a run in a list carries.
+MAX_LISTED_METRICS = 12
 # What a run may write to stdout and stderr; what comes after is dropped, and the log says so.
 LOG_BYTES = 100 * 2**20
 
@@ -144,6 +146,7 @@ class RunRead(BaseModel):
 
     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
     image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
+    `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
     `may_cancel`: the asker may, and it is not over.
     """
 
@@ -171,6 +174,7 @@ class RunRead(BaseModel):
     artifact_count: int
     finding_counts: dict[Severity, int]
     metric_count: int
+    metrics: Annotated[list[Metric], Field(max_length=MAX_LISTED_METRICS)] = []
     reuses_id: uuid.UUID | None
     created_at: datetime.datetime
     claimed_at: datetime.datetime | None

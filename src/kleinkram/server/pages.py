@@ -19,7 +19,13 @@ from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementErr
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
 
-_TYPES: dict[str, Callable[[str], Any]] = {"s": str, "i": int, "d": datetime.datetime.fromisoformat, "u": uuid.UUID, "j": json.loads}
+_TYPES: dict[str, Callable[[str], Any]] = {
+    "s": str,
+    "i": int,
+    "d": datetime.datetime.fromisoformat,
+    "u": uuid.UUID,
+    "j": json.loads,
+}
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,8 @@ def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -
     assert [each["path"] for each in seen["previews"]] == ["figures/track.txt"]
     (metric,) = lab.all("/run-metrics", {"run_id": made["id"]})
     assert (metric["metric"]["value"], metric["metric"]["unit"]) == (0.12, "m")
+    (listed,) = lab.all("/runs", {"mission_id": place.mission["id"]})
+    assert listed["metrics"] == seen["metrics"] == [metric["metric"]]
     (finding,) = lab.all("/findings", {"mission_id": place.mission["id"], "code": "imu.*"})
     assert finding["finding"]["file"] == "drive.bin"
     (artifact,) = lab.all(f"/runs/{made['id']}/artifacts")
@@ -153,13 +155,21 @@ def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Play
     claim = runner.claim()
     runner.beat(claim, image_digest="sha256:stock")
     runner.leave(claim, "made", b"made")
-    runner.finish(claim, report={"previews": [{"path": "made", "title": "Made"}], "metadata": {"robot": "spot"}}).ok()
+    of_file = [{"name": f"of_file_{number}", "value": number, "file": "drive.bin"} for number in range(20)]
+    report = {
+        "previews": [{"path": "made", "title": "Made"}],
+        "metadata": {"robot": "spot"},
+        "metrics": [*of_file, {"name": "of_run", "value": 1}],
+    }
+    runner.finish(claim, report=report).ok()
     second = launch(lab, runner, place.mission, force=False)
     assert (second["state"], second["reuses_id"]) == ("done", first["id"])
     assert second["artifact_count"] == 1
     shown = [lab.get(f"/runs/{each['id']}").ok() for each in (first, second)]
-    for said in ("previews", "metadata", "problems", "finding_counts", "metric_count"):
+    for said in ("previews", "metadata", "problems", "finding_counts", "metric_count", "metrics"):
         assert shown[0][said] == shown[1][said]
+    assert [each["name"] for each in shown[1]["metrics"][:2]] == ["of_run", "of_file_0"]
+    assert len(shown[1]["metrics"]) == 12
     assert shown[1]["previews"] != []
     assert [each["path"] for each in lab.all(f"/runs/{second['id']}/artifacts")] == ["made"]
     changed = {"parameters": [{"name": "rate", "type": "number", "default": 1.0}]}

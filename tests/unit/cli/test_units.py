@@ -57,7 +57,14 @@ def test_sizes_are_shown(size: int, shown: str) -> None:
 
 @pytest.mark.parametrize(
     ("nanoseconds", "shown"),
-    [(5_000_000, "0.005 s"), (12_340_000_000, "12.3 s"), (61 * 10**9, "1 min 01 s"), (7260 * 10**9, "2 h 01 min")],
+    [
+        (5_000_000, "0.005 s"),
+        (12_340_000_000, "12.3 s"),
+        (61 * 10**9, "1 min 01 s"),
+        (7260 * 10**9, "2 h 01 min"),
+        (102_492 * 3600 * 10**9, "11.7 years"),
+        (100 * 3600 * 10**9, "4.2 days"),
+    ],
 )
 def test_spans_are_shown(nanoseconds: int, shown: str) -> None:
     assert units.duration(nanoseconds) == shown
@@ -77,3 +84,8 @@ def test_one_is_not_written_as_several() -> None:
         "1,200 files",
     ]
     assert [units.count(number, "entry", "entries") for number in (1, 2)] == ["1 entry", "2 entries"]
+
+
+def test_a_long_sum_of_recorded_time_is_shown_in_hours() -> None:
+    assert units.total_hours(1204 * 3600 * 10**9) == "1,204 h"
+    assert units.total_hours(7260 * 10**9) == "2 h 01 min"

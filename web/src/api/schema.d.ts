@@ -5479,6 +5479,11 @@ export interface components {
             };
             /** Metric Count */
             metric_count: number;
+            /**
+             * Metrics
+             * @default []
+             */
+            metrics: components["schemas"]["Metric"][];
             mission: components["schemas"]["MissionRef"];
             network: components["schemas"]["Network"];
             /** Parameters */
@@ -5660,6 +5665,7 @@ export interface components {
          *
          *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
          *     image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
+         *     `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
          *     `may_cancel`: the asker may, and it is not over.
          */
         RunRead: {
@@ -5703,6 +5709,11 @@ export interface components {
             message: string;
             /** Metric Count */
             metric_count: number;
+            /**
+             * Metrics
+             * @default []
+             */
+            metrics: components["schemas"]["Metric"][];
             mission: components["schemas"]["MissionRef"];
             network: components["schemas"]["Network"];
             /** Parameters */
@@ -12444,7 +12455,7 @@ export interface operations {
                 recorded_after?: string | null;
                 recorded_before?: string | null;
                 satisfied?: boolean | null;
-                sort?: components["schemas"]["MissionSort"];
+                sort?: components["schemas"]["MissionSort"] | string;
                 text?: string | null;
                 topic?: string[];
                 where?: string[];

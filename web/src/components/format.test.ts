@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { counted, formatAgo, formatDuration, formatRate, formatShare, formatSize, formatUtc } from "./format";
+import { counted, formatAgo, formatDuration, formatHours, formatRate, formatShare, formatSize, formatUtc } from "./format";
 
 const NS = 1_000_000_000;
 
@@ -12,7 +12,12 @@ describe("sizes, as the command line writes them", () => {
 describe("spans", () => {
   it.each([
     [0.25 * NS, "0.250 s"], [12.34 * NS, "12.3 s"], [65 * NS, "1 min 05 s"], [3599.6 * NS, "1 h 00 min"], [8040 * NS, "2 h 14 min"],
+    [100 * 3600 * NS, "4.2 days"], [102_492 * 3600 * NS, "11.7 years"],
   ])("%d ns", (nanoseconds, text) => expect(formatDuration(nanoseconds)).toBe(text));
+});
+
+describe("sums of recorded time", () => {
+  it.each([[8040 * NS, "2 h 14 min"], [1204 * 3600 * NS, "1,204 h"]])("%d ns", (nanoseconds, text) => expect(formatHours(nanoseconds)).toBe(text));
 });
 
 describe("counts and shares", () => {

@@ -1,6 +1,10 @@
 // Numbers as people read them; the same rules as the command line's.
 const NS_PER_S = 1_000_000_000;
 const NS_PER_MS = 1_000_000;
+const DAY_S = 86_400;
+const YEAR_S = 365.25 * DAY_S;
+/** From here on hours and minutes are hard to read. */
+const LONG_S = 100 * 3600;
 const SIZES = ["B", "kB", "MB", "GB", "TB"] as const;
 const grouped = new Intl.NumberFormat("en-GB");
 
@@ -20,16 +24,24 @@ export function formatSpeed(bytesPerSecond: number): string {
   return `${formatSize(bytesPerSecond)}/s`;
 }
 
-/** A span of nanoseconds: `0 s`, `1.250 s`, `3 min 05 s`, `2 h 14 min`. */
+/** A span of nanoseconds: `0 s`, `1.250 s`, `3 min 05 s`, `2 h 14 min`, `12.5 days`, `11.7 years`. */
 export function formatDuration(nanoseconds: number): string {
   if (nanoseconds === 0) return "0 s";
   const seconds = nanoseconds / NS_PER_S;
   if (Math.abs(seconds) < 60) return `${seconds.toFixed(Math.abs(seconds) < 10 ? 3 : 1)} s`;
+  if (Math.abs(seconds) >= YEAR_S) return `${(seconds / YEAR_S).toFixed(1)} years`;
+  if (Math.abs(seconds) >= LONG_S) return `${(seconds / DAY_S).toFixed(1)} days`;
   const whole = Math.round(seconds);
   const hours = Math.floor(whole / 3600);
   const minutes = Math.floor(whole / 60) % 60;
   const two = (value: number) => String(value).padStart(2, "0");
   return hours > 0 ? `${hours} h ${two(minutes)} min` : `${minutes} min ${two(whole % 60)} s`;
+}
+
+/** A sum of recorded time; a long one in hours: `1,204 h`. */
+export function formatHours(nanoseconds: number): string {
+  const seconds = nanoseconds / NS_PER_S;
+  return seconds < LONG_S ? formatDuration(nanoseconds) : `${grouped.format(Math.round(seconds / 3600))} h`;
 }
 
 /** A rate: `12.50 Hz`. */

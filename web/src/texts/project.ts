@@ -1,5 +1,5 @@
 // The words of the pages of projects.
-import { counted, formatCount, formatDuration, formatSize } from "@/components/format";
+import { counted, formatCount, formatHours, formatSize } from "@/components/format";
 
 export const texts = {
   projects: {
@@ -31,7 +31,7 @@ export const texts = {
   public: "Public",
   publicWhy: "Anybody may read it, with or without an account.",
   lead: (missions: number, files: number, bytes: number, durationNs: number) =>
-    [counted(missions, "mission"), counted(files, "file"), formatSize(bytes), `${formatDuration(durationNs)} recorded`].join(" · "),
+    [counted(missions, "mission"), counted(files, "file"), formatSize(bytes), `${formatHours(durationNs)} recorded`].join(" · "),
   newMission: "New mission",
   upload: "Upload",
 

@@ -13,6 +13,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Finding, Metric, Severity
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.runs import (
+    MAX_LISTED_METRICS,
     ActionRef,
     ArtifactRead,
     Cause,
@@ -26,6 +27,7 @@ from kleinkram.contract.runs import (
 )
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
+from kleinkram.server.db import among
 from kleinkram.server.pages import Order
 from kleinkram.server.search.globs import matches, matches_key
 from kleinkram.server.tables import (
@@ -129,16 +131,19 @@ def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     return stmt.where(*conditions)
 
 
-def to_run(actor: Actor, row: Row[Any], waits_for: str | None = None) -> RunRead:
+def to_run(actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()) -> RunRead:
     """Return the run that a row of `run_rows` stands for."""
-    return RunRead(**_said(actor, row), waits_for=waits_for)
+    return RunRead(**_said(actor, row), waits_for=waits_for, metrics=[*metrics])
 
 
-def to_detail(actor: Actor, row: Row[Any], waits_for: str | None = None) -> RunDetail:
+def to_detail(
+    actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()
+) -> RunDetail:
     """Return the run that a row of `whole_run` stands for."""
     return RunDetail(
         **_said(actor, row),
         waits_for=waits_for,
+        metrics=[*metrics],
         definition=ActionDefinition.model_validate(row.definition),
         problems=row.problems,
         metadata=row.proposed,
@@ -235,6 +240,19 @@ def metrics(actor: Actor, matching: SayingFilter) -> Select[Any]:
     """Return the numbers that visible runs found, as `to_metric` reads them."""
     stmt = _said_by_runs(actor, run_metric, matching)
     return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
+
+
+def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
+    """Return the first numbers of each run, those of the whole run before those of one file that `actor` may see."""
+    hidden_input = exists().where(
+        run_input.c.run_id == run_metric.c.run_id,
+        run_input.c.path == run_metric.c.file,
+        is_hidden(actor, run_input.c.file_id),
+    )
+    order = (run_metric.c.file.is_not(None), run_metric.c.id)
+    place = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("place")
+    ranked = select(run_metric, place).where(among(run_metric.c.run_id, run_ids), ~hidden_input).subquery()
+    return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
 
 
 def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[Any]:

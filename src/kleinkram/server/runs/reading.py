@@ -11,6 +11,7 @@ from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
+from kleinkram.contract.reports import Metric
 from kleinkram.contract.runs import (
     ArtifactRead,
     ArtifactUrl,
@@ -43,8 +44,10 @@ async def list_runs(db: Connection, actor: Actor, *, matching: RunFilter, page: 
     """
     found = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
     rows = await fetch_page(db, found, queries.RUN_ORDER, page)
-    waiting = await _waiting(db, rows.items)
-    items = [queries.to_run(actor, row, waiting.get(row.id)) for row in rows.items]
+    waiting, metrics = await _waiting(db, rows.items), await _metrics(db, actor, rows.items)
+    items = [
+        queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ())) for row in rows.items
+    ]
     return Page(items=items, next=rows.next, total=rows.total)
 
 
@@ -55,7 +58,8 @@ async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunRead:
         NotFound: it is not there, or not for this actor.
     """
     row = await run_row(db, actor, run_id)
-    return queries.to_run(actor, row, (await _waiting(db, [row])).get(row.id))
+    waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
+    return queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
 
 
 async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDetail:
@@ -65,7 +69,8 @@ async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDeta
         NotFound: it is not there, or not for this actor.
     """
     row = await run_row(db, actor, run_id)
-    return queries.to_detail(actor, row, (await _waiting(db, [row])).get(row.id))
+    waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
+    return queries.to_detail(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
 
 
 async def run_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> Row[Any]:
@@ -86,6 +91,17 @@ async def _waiting(db: Connection, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, 
         return {}
     known, alone = await known_runners(db), await is_owners_alone(db)
     return {row.id: why_waiting(row, known, owners_alone=alone) for row in queued}
+
+
+async def _metrics(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[Metric]]:
+    results = {row.id: row.reuses_id or row.id for row in rows if row.metric_count > 0}
+    if not results:
+        return {}
+    reported: dict[uuid.UUID, list[Metric]] = {}
+    for each in await db.execute(queries.first_metrics(actor, [*results.values()])):
+        metric = Metric.model_construct(name=each.name, value=each.value, unit=each.unit, file=each.file)
+        reported.setdefault(each.run_id, []).append(metric)
+    return {run_id: reported.get(result, []) for run_id, result in results.items()}
 
 
 async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UUID:

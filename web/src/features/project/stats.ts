@@ -1,6 +1,6 @@
 // Statistics as they are shown and saved.
 import type { Overview, StatsRow } from "./queries";
-import { formatCount, formatDuration, formatSize } from "@/components/format";
+import { formatCount, formatHours, formatSize } from "@/components/format";
 import { texts as all } from "@/texts/project";
 
 const texts = all.stats;
@@ -19,7 +19,7 @@ export interface Bar {
 /** Returns a number of a measure as people read it. */
 export function shownMeasure(measure: Measure, row: StatsRow): string {
   if (measure === "size_bytes") return formatSize(row.size_bytes);
-  if (measure === "duration_ns") return formatDuration(row.duration_ns);
+  if (measure === "duration_ns") return formatHours(row.duration_ns);
   return formatCount(row[measure]);
 }
 
