@@ -202,7 +202,8 @@ class FileFilter(BaseModel):
     """Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
 
     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
-    (`mcap`, `rosbag1`, `db3`, …), whatever the extension. Sizes in bytes; `recorded_*` against the file's span.
+    (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of problems inside the file, or globs:
+    `*` finds files with any problem. Sizes in bytes; `recorded_*` against the file's span.
     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
@@ -226,6 +227,7 @@ class FileFilter(BaseModel):
     label: Terms = []
     state: list[BlobState] = []
     content: list[ContentState] = []
+    problem: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
     min_size_bytes: SizeBytes | None = None

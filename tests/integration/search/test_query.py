@@ -1,5 +1,6 @@
 """One text that finds missions, files and topics, and how what it finds divides."""
 
+import json
 import uuid
 from typing import Any
 
@@ -47,6 +48,7 @@ def lab(start_api: StartApi) -> Api:
         start_ns=20_040 * DAY_NS,
         end_ns=20_040 * DAY_NS + MINUTE_NS,
         format="rosbag1",
+        problems=json.dumps([{"code": "long-gap", "where": "/imu", "message": "silent"}]),
         topics=[{"name": "/cam/rear", **IMAGE}, {"name": "/imu", **IMU}, {"name": "/odd", "message_type": None}],
     )
     return api
@@ -77,6 +79,10 @@ def _names(page: Any, name: str = "name") -> list[str]:
         ("label:wet label:dry", [LOG]),
         ("format:rosbag1", [REAR]),
         ("content:opaque", [LOG]),
+        ("problem:long-gap", [REAR]),
+        ("problem:*", [REAR]),
+        ("problem:damaged", []),
+        ("-problem:*", [FRONT, LOG]),
         ("path:*.bag", [REAR]),
         ("meta.robot:anymal", [FRONT, LOG]),
         ("meta.robot!=anymal", [REAR]),

@@ -15,6 +15,7 @@ describe("columns", () => {
   });
   it("has a track for each, and one for the boxes", () => {
     expect(tracks(columnsFor(columns, 700), true)).toBe("36px minmax(0, 1fr) 100px");
+    expect(tracks(columnsFor(columns, 360), false, true)).toBe("minmax(0, 1fr) 44px");
   });
 });
 

@@ -22,10 +22,18 @@ export function columnsFor<Row>(columns: readonly Column<Row>[], width: number):
   return columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
 }
 
-/** Returns the tracks of a table's grid. */
-export function tracks<Row>(columns: readonly Column<Row>[], isSelectable: boolean): string {
+/** Returns the tracks of a table's grid. `hasDetails`: rows open to show the columns that have no room. */
+export function tracks<Row>(columns: readonly Column<Row>[], isSelectable: boolean, hasDetails = false): string {
   const own = columns.map((column) => column.width ?? "minmax(0, 1fr)");
-  return (isSelectable ? ["36px", ...own] : own).join(" ");
+  return [...(isSelectable ? ["36px"] : []), ...own, ...(hasDetails ? ["44px"] : [])].join(" ");
+}
+
+const DETAIL_LINE = 30;
+const DETAIL_EDGE = 12;
+
+/** Returns how much higher an open row is, in pixels. */
+export function heightOfDetails(lines: number): number {
+  return lines === 0 ? 0 : lines * DETAIL_LINE + DETAIL_EDGE;
 }
 
 /** Returns the order that a click on a column's head asks for: ascending first, then descending. */

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { shareOf, ticks } from "./timeScale";
+import { datesOf, shareOf, ticks } from "./timeScale";
 
 const NOON = Date.UTC(2026, 4, 1, 12, 0, 0);
 
@@ -21,6 +21,21 @@ describe("round times", () => {
     expect(found.map((tick) => tick.at % 60_000)).toEqual(found.map(() => 0));
   });
   it("has none on a span of nothing", () => expect(ticks(NOON, NOON, 5)).toEqual([]));
+});
+
+describe("the date of an axis", () => {
+  const noon = new Date(2026, 4, 1, 12).getTime(); // in the zone of whoever looks
+  it("is named once, with the zone of its times", () => {
+    expect(datesOf(noon, noon + 3_600_000)).toMatch(/^1 May 2026, UTC([+-]\d+(:\d\d)?)?$/);
+  });
+  it("names both ends of a span of several days", () => {
+    expect(datesOf(noon, noon + 2 * 86_400_000)).toMatch(/^1 May 2026 – 3 May 2026, UTC/);
+  });
+  it("stands at midnight in place of a time", () => {
+    const labels = ticks(noon, noon + 86_400_000, 4).map((tick) => tick.label);
+    expect(labels).toContain("2 May");
+    expect(labels).toContain("18:00");
+  });
 });
 
 it("keeps to the span", () => {

@@ -20,14 +20,34 @@ const withYear = new Intl.DateTimeFormat("en-GB", { month: "short", year: "numer
 const withMinute = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit" });
 const withSecond = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 
+const asDate = new Intl.DateTimeFormat("en-GB", { day: "numeric", month: "short", year: "numeric" });
+const asZone = new Intl.DateTimeFormat("en-GB", { timeZoneName: "shortOffset" });
+
+function zoneOf(at: number): string {
+  const zone = asZone.formatToParts(at).find((part) => part.type === "timeZoneName")?.value ?? "";
+  return zone.replace("GMT", "UTC");
+}
+
+/** Returns the dates that an axis covers, once, and the zone of its times: `12 May 2026, UTC+2`. */
+export function datesOf(start: number, end: number): string {
+  const [first, last] = [asDate.format(start), asDate.format(end)];
+  return `${first === last ? first : `${first} – ${last}`}, ${zoneOf(start)}`;
+}
+
 /** Returns where a time is on a span, as a share from 0 to 1, clamped to it. */
 export function shareOf(at: number, start: number, end: number): number {
   if (end <= start) return 0;
   return Math.max(0, Math.min(1, (at - start) / (end - start)));
 }
 
+function isMidnight(at: number): boolean {
+  const time = new Date(at);
+  return time.getHours() === 0 && time.getMinutes() === 0;
+}
+
 function labelOf(at: number, step: number): string {
   if (step >= 30 * DAY) return withYear.format(at);
+  if (step >= MIN && step < DAY && isMidnight(at)) return withDay.format(at);
   if (step >= DAY) return withDay.format(at);
   if (step >= MIN) return withMinute.format(at);
   if (step >= S) return withSecond.format(at);

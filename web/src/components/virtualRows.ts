@@ -27,10 +27,12 @@ export interface VirtualOptions {
   readonly kept: () => number;
   readonly rowHeight: () => number;
   readonly isOwnScroller: boolean;
+  /** How much higher than the others the one open row is, in pixels. */
+  readonly extra: () => number;
 }
 
 /** Returns the rows in sight. */
-export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnScroller }: VirtualOptions): VirtualRows {
+export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnScroller, extra }: VirtualOptions): VirtualRows {
   const width = ref(1024);
   const drawn = shallowRef<readonly number[]>([]);
   const isMoving = ref(false);
@@ -43,7 +45,8 @@ export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnSc
 
   function draw(): void {
     const { top, height } = seen();
-    const wanted = inSight(top, height, rowHeight(), count(), kept());
+    // Rows below the open one stand lower than their number says, so some more are drawn above.
+    const wanted = inSight(top - extra(), height + extra(), rowHeight(), count(), kept());
     drawn.value = drawnAfter(drawn.value, wanted, kept(), MOST_A_FRAME);
     const there = new Set(drawn.value);
     frame = wanted.every((index) => there.has(index)) ? null : requestAnimationFrame(draw);
@@ -96,7 +99,7 @@ export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnSc
     clearTimeout(resting);
     if (frame !== null) cancelAnimationFrame(frame);
   });
-  watch([count, kept, rowHeight], follow);
+  watch([count, kept, rowHeight, extra], follow);
   draw();
 
   return { drawn, isMoving: readonly(isMoving), reveal, rest, width: readonly(width) };

@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { commandsFor, matches, searchCommand } from "./commands";
+import { placesFor } from "./places";
 
 const ADMIN = { isSignedIn: true, isAdmin: true };
 
@@ -13,6 +14,9 @@ describe("the palette", () => {
     expect(commandsFor("", ADMIN).map((each) => each.label)).toContain("Admin");
     expect(commandsFor("", { isSignedIn: true, isAdmin: false }).map((each) => each.label)).not.toContain("Admin");
     expect(commandsFor("", { isSignedIn: false, isAdmin: false }).map((each) => each.label)).toEqual(["Public projects", "Search"]);
+  });
+  it("shows the actions in the menu of everybody who signed in", () => {
+    expect(placesFor(true, false).map((each) => each.label)).toContain("Actions");
   });
   it("acts, too", () => expect(commandsFor("dark", ADMIN).map((each) => each.id)).toEqual(["theme dark"]));
   it("searches for whatever was typed", () => {

@@ -27,7 +27,8 @@ export const places: readonly Place[] = [
   place("projects", iconProjects, "p", { also: ["project", "mission", "file"] }),
   place("search", iconSearch, "s"),
   place("upload", iconUpload, "u"),
-  place("runs", iconRuns, "x", { also: ["run", "actions", "action", "launch"] }),
+  place("actions", iconAction, "i", { also: ["action"] }),
+  place("runs", iconRuns, "x", { also: ["run", "launch"] }),
   place("people", iconPeople, "e", { also: ["person", "groups", "group", "access"] }),
   place("trash", iconTrash, "t"),
   place("audit", iconAudit, "r"),
@@ -36,7 +37,6 @@ export const places: readonly Place[] = [
 
 /** Pages that the rail does not show, and the palette does. */
 export const furtherPlaces: readonly Place[] = [
-  place("actions", iconAction, "i"),
   place("groups", iconPeople, "o"),
   place("account", iconMe, "c"),
   place("tokens", iconToken, "k"),

@@ -18,6 +18,8 @@ export const texts = {
   selectRow: (name: string) => `Select ${name}`,
   selected: (count: number) => (count === 1 ? "1 selected" : `${count} selected`),
   clearSelection: "Clear selection",
+  details: "Details",
+  detailsOf: (name: string) => `Details of ${name}`,
   sortBy: (column: string) => `Sort by ${column}`,
   clearFilters: "Clear filters",
   filters: "Filters",
@@ -26,6 +28,13 @@ export const texts = {
   kept: "I have kept it",
   typeToConfirm: (word: string) => `Type ${word} to confirm`,
   breadcrumbs: "Where this is",
+  severities: { error: "Error", warning: "Warning", info: "Info" },
+  moreOfKind: (count: number) => `and ${count} more`,
+  noAccess: {
+    title: "You have no access yet",
+    text: (lab: string, account: string) =>
+      `Nobody has given you a right on a project. Ask the owner of the project that you need, or an admin of ${lab}, to give one to ${account}. The project shows here as soon as they have.`,
+  },
   cli: "Command line",
   sdk: "Python",
 } as const;

@@ -100,7 +100,6 @@ export const texts = {
   missingFile: (path: string) => `${path} is named by the recording, and is not here. Upload it if somebody has it.`,
   surplusFile: (path: string) => `${path} lies beside the recording, but the recording does not name it.`,
   metadataProblem: (field: string, message: string) => `${field}: ${message}`,
-  metadataOdd: "The metadata does not satisfy the project",
   moreOdd: (most: number) => `Only the first ${formatCount(most)} files are listed.`,
 
   commands: "Commands",

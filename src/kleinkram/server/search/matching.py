@@ -20,6 +20,7 @@ from sqlalchemy import (
     bindparam,
     case,
     cast,
+    exists,
     func,
     literal,
     or_,
@@ -28,7 +29,7 @@ from sqlalchemy import (
     type_coerce,
     union_all,
 )
-from sqlalchemy.dialects.postgresql import ARRAY
+from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
@@ -306,6 +307,10 @@ def _bytes(matching: FileFilter) -> Conditions:
         conditions.append(blob.c.state.in_([state.value for state in matching.state]))
     if matching.content:
         conditions.append(blob.c.content.in_([content.value for content in matching.content]))
+    if matching.problem:
+        entry = func.jsonb_array_elements(blob.c.problems).table_valued("value")
+        code = cast(entry.c.value, JSONB)["code"].astext
+        conditions.append(exists().select_from(entry).where(matches_any(code, matching.problem)))
     if matching.min_size_bytes is not None:
         conditions.append(blob.c.size_bytes >= matching.min_size_bytes)
     if matching.max_size_bytes is not None:

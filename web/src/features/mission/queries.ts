@@ -32,7 +32,7 @@ const TOPICS_PAGE = 1000;
 /** Densities of so many topics are drawn; more than 20,000 the server does not keep. */
 const BINS = 192;
 const SOON_MS = 2_000;
-const MOST_ODD = 200;
+const MOST_ODD = 500;
 
 export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
@@ -113,18 +113,19 @@ export function useMissionTopics(missionId: string, isWanted: () => boolean) {
   });
 }
 
-/** The files in which something is not as it should be, the first ones by path. */
+/** The files with problems, the first ones by path; `isCut` where there are more. */
 export function useOddFiles(missionId: string) {
   return useQuery({
     queryKey: missionKeys.odd(missionId),
-    queryFn: async ({ signal }): Promise<readonly File[]> => {
+    queryFn: async ({ signal }): Promise<{ readonly files: readonly File[]; readonly isCut: boolean }> => {
       const common = { mission_id: missionId, sort: "path", limit: MOST_ODD } as const;
-      const [inside, bytes] = await Promise.all([
+      const [inside, bytes, noted] = await Promise.all([
         call(api.GET("/api/v1/files", { params: { query: { ...common, content: ["recovered", "broken", "error"] } }, signal })),
         call(api.GET("/api/v1/files", { params: { query: { ...common, state: ["lost", "corrupt"] } }, signal })),
+        call(api.GET("/api/v1/files", { params: { query: { ...common, problem: ["*"] } }, signal })),
       ]);
-      const known = new Map([...bytes.items, ...inside.items].map((file) => [file.id, file]));
-      return [...known.values()];
+      const known = new Map([...bytes.items, ...inside.items, ...noted.items].map((file) => [file.id, file]));
+      return { files: [...known.values()], isCut: [inside, bytes, noted].some(({ next }) => next !== null) };
     },
   });
 }
