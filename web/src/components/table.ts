@@ -15,11 +15,28 @@ export interface Column<Row> {
 }
 
 const OVERSCAN = 4;
+/** Of a column that shares what room is left. */
+const LEAST_WIDTH = 80;
+/** What boxes and the button for details take. */
+const BESIDE = 80;
 const WIDTHS = { tablet: 560, desktop: 900 } as const;
 
-/** Returns the columns that a table of some width shows. */
+/** Returns the least width of a column, in pixels: the first number of its track. */
+function leastWidth({ width }: Pick<Column<unknown>, "width">): number {
+  return Math.max(LEAST_WIDTH, Number(/\d+/.exec(width ?? "")?.[0] ?? 0));
+}
+
+/** Returns the columns that a table of some width shows. Columns with `from` go, the last ones first, where all do not fit. */
 export function columnsFor<Row>(columns: readonly Column<Row>[], width: number): readonly Column<Row>[] {
-  return columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
+  const fitting = columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
+  let wanted = fitting.reduce((sum, column) => sum + leastWidth(column), 0);
+  for (let at = fitting.length - 1; at > 0 && wanted > width - BESIDE; at -= 1) {
+    const column = fitting[at];
+    if (column?.from === undefined) continue;
+    wanted -= leastWidth(column);
+    fitting.splice(at, 1);
+  }
+  return fitting;
 }
 
 /** Returns the tracks of a table's grid. `hasDetails`: rows open to show the columns that have no room. */

@@ -35,6 +35,21 @@ export const texts = {
     text: (lab: string, account: string) =>
       `Nobody has given you a right on a project. Ask the owner of the project that you need, or an admin of ${lab}, to give one to ${account}. The project shows here as soon as they have.`,
   },
+  columns: "Columns",
+  bulk: {
+    download: "Download",
+    move: "Move",
+    remove: "Delete",
+    progress: (finished: number, total: number) => `${finished} of ${total} done`,
+    failed: (failed: number, total: number) => `${failed} of ${total} could not be changed:`,
+    removeTitle: (count: number, noun: string) => `Delete ${count} ${noun}${count === 1 ? "" : "s"}?`,
+    removeWhy: "They go to the trash, from where they can be put back for a while.",
+    removed: (count: number, noun: string) => `${count} ${noun}${count === 1 ? " is" : "s are"} in the trash.`,
+    moveTitle: (count: number, noun: string) => `Move ${count} ${noun}${count === 1 ? "" : "s"}`,
+    moved: (count: number, noun: string) => `${count} ${noun}${count === 1 ? " was" : "s were"} moved.`,
+    search: { mission: "Search projects by name", file: "Search missions by name" },
+    to: "To",
+  },
   cli: "Command line",
   sdk: "Python",
 } as const;

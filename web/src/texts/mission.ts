@@ -30,6 +30,7 @@ export const texts = {
   notesHint: "Plain text. Ctrl+Enter saves, Escape leaves it as it was.",
 
   upload: "Upload",
+  download: "Download",
   run: "Run …",
   share: "Share",
   rename: "Rename",

@@ -1,5 +1,5 @@
 // The words of the search: what is typed, what is found, what is done with it.
-import { counted, formatCount, formatSize } from "@/components/format";
+import { counted, formatCount } from "@/components/format";
 
 const facets: Readonly<Record<string, string>> = {
   project: "Project", format: "Format", content: "Content", month: "Month", label: "Label", topic: "Topic", type: "Message type",
@@ -44,8 +44,6 @@ export const texts = {
   command: "The same on the command line",
   download: "Download",
   downloadTitle: "Download what was found",
-  downloadWhy: "Fetches exactly these files to where it runs, each verified. What is there already is not fetched again, so it can be run anew after a break.",
-  downloadSize: (files: number, bytes: number) => `${counted(files, "file")}, ${formatSize(bytes)}`,
   saveScript: "Save as a script",
   scriptName: "download.sh",
   scriptHead: "Fetches what a search in Kleinkram found, each file verified.",

@@ -13,11 +13,6 @@ export function searchCommands(query: string): Commands {
   return { cli: `klein search ${query.startsWith("-") ? "-- " : ""}${quoted(query)}`, sdk };
 }
 
-/** Returns the command that fetches what a text finds, below project and mission: files of several may have one path. */
-export function downloadCommand(query: string): string {
-  return `klein download --nested --query ${quoted(query)} --dest data`;
-}
-
 /** Returns a script that fetches what a text finds. Nothing that was typed stands in it unquoted. */
 export function downloadScript(query: string, server: string, head: string): string {
   return [

@@ -63,14 +63,6 @@ export function useFacets(query: () => string, enabled: () => boolean) {
   });
 }
 
-/** How much all is that a text finds. */
-export function useAmount(query: () => string) {
-  return useQuery({
-    queryKey: computed(() => keys.stats({ query: query() })),
-    queryFn: ({ signal }) => call(api.GET("/api/v1/stats", { params: { query: { query: query() } }, signal })),
-  });
-}
-
 export function useLabelling() {
   const queries = useQueryClient();
   return useMutation({

@@ -1,0 +1,19 @@
+import { expect, it } from "vitest";
+import { findingsOf, metricNames, metricText } from "./results";
+import type { Run } from "@/api/types";
+
+function run(metrics: Run["metrics"], counts: Run["finding_counts"] = {}): Run {
+  return { metrics, finding_counts: counts } as unknown as Run;
+}
+
+it("counts findings by severity, the worst first", () => {
+  expect(findingsOf(run([], { info: 3, error: 1, warning: 2 })).map(({ label }) => label)).toEqual(["1 error", "2 warnings", "3 infos"]);
+  expect(findingsOf(run([]))).toEqual([]);
+});
+
+it("names the metrics that most runs have first, and writes them with their unit", () => {
+  const one = run([{ name: "ate_rmse", value: 0.1234567, unit: "m", file: null }, { name: "hz", value: 20, unit: null, file: "a.bag" }]);
+  const two = run([{ name: "ate_rmse", value: 1, unit: null, file: null }, { name: "of_files", value: 1, file: "a" }, { name: "of_files", value: 2, file: "b" }]);
+  expect(metricNames([two, one])).toEqual(["ate_rmse", "hz", "of_files"]);
+  expect([metricText(one, "ate_rmse"), metricText(one, "hz"), metricText(two, "of_files"), metricText(two, "hz")]).toEqual(["0.12346 m", "20", "2 files", ""]);
+});

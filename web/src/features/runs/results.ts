@@ -1,0 +1,42 @@
+// What runs found, in few words: findings by severity, and the metrics that have columns.
+import type { Run } from "@/api/types";
+import { severityTones } from "@/components/problems";
+import type { Tone } from "@/components/tones";
+import { severityTexts, texts } from "@/texts/runs";
+
+const SEVERITIES = ["error", "warning", "info"] as const;
+
+export interface Findings {
+  readonly severity: (typeof SEVERITIES)[number];
+  readonly label: string;
+  readonly why: string;
+  readonly tone: Tone;
+}
+
+/** Returns how many findings of each severity a run has, the worst first; nothing where it has none. */
+export function findingsOf({ finding_counts: counts }: Run): readonly Findings[] {
+  return SEVERITIES.flatMap((severity) => {
+    const count = counts[severity] ?? 0;
+    const label = texts.findingCount(count, severity);
+    return count === 0 ? [] : [{ severity, label, why: severityTexts[severity], tone: severityTones[severity] }];
+  });
+}
+
+/** Returns the names of all metrics of some runs, those first that most runs have. */
+export function metricNames(runs: readonly Run[]): readonly string[] {
+  const counts = new Map<string, number>();
+  for (const run of runs) {
+    for (const name of new Set(run.metrics?.map((metric) => metric.name))) counts.set(name, (counts.get(name) ?? 0) + 1);
+  }
+  return [...counts].sort(([one, ones], [other, others]) => others - ones || one.localeCompare(other)).map(([name]) => name);
+}
+
+const number = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
+
+/** Returns a metric of a run with its unit: that of the whole run, or of its only file; else how many files have it. */
+export function metricText(run: Run, name: string): string {
+  const metrics = run.metrics?.filter((metric) => metric.name === name) ?? [];
+  const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
+  if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
+  return [number.format(metric.value), metric.unit ?? ""].filter((each) => each !== "").join(" ");
+}
