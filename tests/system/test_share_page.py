@@ -1,12 +1,18 @@
 """The page of a link in a real browser: it shows the link's files, and no text from elsewhere as HTML."""
 
+import base64
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from kleinkram.recordings.sample import generate_mcap
 from tests.lacking import need, path_of
 from tests.system.house import House
+
+_PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
 
 
 @pytest.fixture
@@ -39,9 +45,38 @@ def test_the_page_shows_what_the_link_shows(house: House, browser: list[str], tm
     assert "Alps / Day &amp; night" in seen
     assert "2 files, 1.5 kB" in seen
     assert "&lt;b&gt;bold&lt;b&gt;.bin" in seen
-    assert seen.count("<button") == 3, "one a file, and one for more, which is hidden"
+    assert seen.count("<button") == 4, "one a file, one for all, and one for more, which is hidden"
+    assert "Download all (1.5 kB)" in seen
+    assert f"klein download '{link}'" in seen
     assert "hidden.bin" not in seen
 
     terminal.run("share", "revoke", link)
     assert "This link has ended" in _seen(browser, link)
     assert link.partition("#")[2] not in (house.data_dir / "logs").joinpath("api.log").read_text()
+
+
+@pytest.mark.slow
+def test_the_page_of_a_whole_mission_shows_its_metadata_topics_and_a_picture(
+    house: House, browser: list[str], tmp_path: Path
+) -> None:
+    house.start()
+    terminal = house.terminal
+    folder = tmp_path / "day"
+    folder.mkdir()
+    generate_mcap(folder / "drive.mcap", duration_s=5)
+    (folder / "preview.png").write_bytes(_PIXEL)
+    (tmp_path / "said.yaml").write_text("robot: <i>anymal</i>\nsite: {latitude: 47.0, longitude: 8.5}\n")
+    terminal.run("project", "create", "Alps")
+    place = ["-p", "Alps", "-m", "Day"]
+    terminal.run("upload", *place, "--create", "--metadata", tmp_path / "said.yaml", f"{folder}/", "--wait")
+
+    seen = _seen(browser, terminal.run("share", "create", *place).out.strip())
+    assert "&lt;i&gt;anymal&lt;/i&gt;" in seen
+    assert "47, 8.5" in seen
+    assert "/imu/data" in seen
+    assert "sensor_msgs/msg/Imu" in seen
+    assert 'alt="preview.png"' in seen
+
+    some = _seen(browser, terminal.run("share", "create", "preview.png", *place).out.strip())
+    assert "anymal" not in some, "a link to some files shows no metadata of the mission"
+    assert "/imu/data" not in some

@@ -1,6 +1,6 @@
 """The page that a link opens: the same for every link, since the server is not told the link's secret.
 
-Plain HTML, one script and one stylesheet of ours, nothing inline or from elsewhere.
+Plain HTML, one script and one stylesheet of ours, nothing inline; files and a picture come from the store.
 """
 
 from functools import cache
@@ -13,6 +13,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.shares import SHARE_PAGE
 from kleinkram.server.dependencies import CurrentSettings
 from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.settings import Settings
 from kleinkram.server.web.serving import LOOK, brand
 
 # Not part of the API: for people, not for programs.
@@ -26,7 +27,13 @@ _HEAD = (
 )
 _MAIN = (
     '<main><h1>Shared with you</h1><p id="said" role="status" hidden></p><p id="what"></p>'
-    '<table><tbody id="files"></tbody></table><button type="button" id="more" hidden>More</button>'
+    '<div id="all" hidden><button type="button" id="download" class="primary"></button>'
+    '<p id="progress" role="status"></p><p>With the command line: <code id="command"></code></p></div>'
+    '<div id="about" hidden><img id="picture" alt="" hidden><dl id="metadata"></dl></div>'
+    '<details id="topics" hidden><summary></summary><table><thead><tr><th>Topic</th><th>Type</th><th>Messages</th></tr>'
+    "</thead><tbody></tbody></table></details>"
+    '<h2>Files</h2><table><tbody id="files"></tbody></table>'
+    '<button type="button" id="more" hidden>More</button>'
     "<noscript><p>This page needs JavaScript; `klein download ADDRESS` does without.</p></noscript>"
     "</main></body></html>"
 )
@@ -35,7 +42,14 @@ _MAIN = (
 @router.get("")
 async def page(settings: CurrentSettings) -> HTMLResponse:
     """Show the page of a link."""
-    return HTMLResponse(_HEAD + brand(settings) + _MAIN, headers={"Content-Security-Policy": PAGE_POLICY})
+    return HTMLResponse(_HEAD + brand(settings) + _MAIN, headers={"Content-Security-Policy": share_policy(settings)})
+
+
+def share_policy(settings: Settings) -> str:
+    """Return what the page may do: as other pages of ours, and fetch and show what is shared from the store."""
+    store = settings.store_origin
+    shown = PAGE_POLICY.replace("img-src 'self'", f"img-src 'self' {store}")
+    return shown.replace("connect-src 'self'", f"connect-src 'self' {store}")
 
 
 @router.get("/static/{name}")

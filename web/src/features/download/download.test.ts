@@ -132,6 +132,6 @@ describe("what is downloaded", () => {
     expect(commandOf({ kind: "missions", missions })).toBe(
       "klein download --nested --dest data -p Alps -m 'Day 1'\nklein download --nested --dest data -m m2",
     );
-    expect(commandOf({ kind: "query", query: "topic:/imu" })).toBe("klein download --nested --query topic:/imu --dest data");
+    expect(commandOf({ kind: "query", query: "it's $(rm)" })).toBe("klein download --nested --query 'it'\\''s $(rm)' --dest data");
   });
 });

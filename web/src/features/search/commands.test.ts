@@ -1,11 +1,10 @@
 import { expect, it } from "vitest";
-import { downloadCommand, downloadScript, markedAt, searchCommands, withTerm } from "./commands";
+import { downloadScript, markedAt, searchCommands, withTerm } from "./commands";
 
 it("quotes what a shell would read otherwise", () => {
   expect(searchCommands("alps topic:/imu/*").cli).toBe("klein search 'alps topic:/imu/*'");
   expect(searchCommands("").cli).toBe("klein search ''");
   expect(searchCommands("-label:draft").cli).toBe("klein search -- -label:draft");
-  expect(downloadCommand("it's $(rm)")).toBe("klein download --nested --query 'it'\\''s $(rm)' --dest data");
 });
 
 it("writes a script in which lines of a query stay within their quotes", () => {

@@ -4,6 +4,8 @@
 
 const secret = location.hash.slice(1);
 const AT_ONCE = 200;
+const PICTURES = ["png", "jpg", "jpeg", "webp", "gif"];
+const MOST_PICTURE_BYTES = 20_000_000;
 
 function say(text) {
   const said = document.getElementById("said");
@@ -54,12 +56,123 @@ async function showMore(cursor) {
   more.onclick = () => showMore(page.next).catch((error) => say(error.message));
 }
 
+function element(name, text) {
+  const made = document.createElement(name);
+  made.textContent = text;
+  return made;
+}
+
+function asText(value) {
+  if (value === null || typeof value !== "object") return String(value);
+  if (Array.isArray(value)) return value.map(asText).join(", ");
+  return value.name || (typeof value.latitude === "number" ? `${value.latitude}, ${value.longitude}` : JSON.stringify(value));
+}
+
+function span(nanoseconds) {
+  const hours = nanoseconds / 3.6e12;
+  if (hours >= 8766) return `${(hours / 8766).toFixed(1)} years`;
+  if (hours >= 100) return `${(hours / 24).toFixed(1)} days`;
+  if (hours >= 1) return `${Math.floor(hours)} h ${String(Math.floor((hours % 1) * 60)).padStart(2, "0")} min`;
+  return `${(nanoseconds / 1e9).toFixed(1)} s`;
+}
+
+// Metadata, notes and the time of recording; a link to some files shows none of these.
+function showAbout(mission) {
+  const facts = Object.entries(mission.metadata).map(([name, value]) => [name, asText(value)]);
+  if (mission.start_ns !== null) {
+    const began = new Date(mission.start_ns / 1e6).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
+    facts.unshift(["Recorded", `${began}, ${span(mission.end_ns - mission.start_ns)}`]);
+  }
+  if (mission.notes !== "") facts.push(["Notes", mission.notes]);
+  document.getElementById("metadata").append(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
+  if (facts.length > 0) document.getElementById("about").hidden = false;
+}
+
+async function showTopics(missionId) {
+  const { items, next } = await ask("GET", `/missions/${missionId}/topics?limit=500`);
+  if (items.length === 0) return;
+  const box = document.getElementById("topics");
+  box.querySelector("summary").textContent = `${items.length}${next ? " or more" : ""} ${items.length === 1 ? "topic" : "topics"}`;
+  for (const topic of items) {
+    const line = box.querySelector("tbody").insertRow();
+    for (const text of [topic.name, topic.message_type ?? "", topic.count ?? ""]) line.insertCell().textContent = text;
+  }
+  box.hidden = false;
+}
+
+// The first picture among the files, such as a preview that an action has put into the mission.
+async function showPicture() {
+  const query = new URLSearchParams([["limit", "1"], ["max_size_bytes", MOST_PICTURE_BYTES], ...PICTURES.map((ending) => ["path", `*.${ending}`])]);
+  const [file] = (await ask("GET", `/files?${query}`)).items;
+  if (file === undefined) return;
+  const { items } = await ask("POST", "/files/download", { file_ids: [file.id], purpose: "look" });
+  const picture = document.getElementById("picture");
+  picture.src = items[0].url;
+  picture.alt = file.path;
+  picture.hidden = false;
+  document.getElementById("about").hidden = false;
+}
+
+async function allFiles() {
+  const files = [];
+  for (let cursor = null, isMore = true; isMore; isMore = cursor !== null) {
+    const page = await ask("GET", `/files?${new URLSearchParams({ limit: 500, ...(cursor ? { cursor } : {}) })}`);
+    files.push(...page.items);
+    cursor = page.next;
+  }
+  return files;
+}
+
+// Writes one file below a folder; says whether it was fetched. A file of that name and size is taken as fetched.
+async function saveFile(root, file) {
+  const parts = file.path.split("/").map((part) => part.replaceAll(/[<>:"\\|?*]/g, "_"));
+  let folder = root;
+  for (const part of parts.slice(0, -1)) folder = await folder.getDirectoryHandle(part, { create: true });
+  const handle = await folder.getFileHandle(parts.at(-1), { create: true });
+  const there = (await handle.getFile()).size;
+  if (there === file.size_bytes) return;
+  if (there > 0) throw new Error("another file of this name is in the folder");
+  const { items } = await ask("POST", "/files/download", { file_ids: [file.id] });
+  const answer = await fetch(items[0].url, { credentials: "omit" });
+  if (!answer.ok) throw new Error(`the store answered with ${answer.status}`);
+  await answer.body.pipeTo(await handle.createWritable()); // gets its name when all of it has come
+  if ((await handle.getFile()).size !== file.size_bytes) throw new Error("it did not come whole");
+}
+
+async function saveAll() {
+  const root = await window.showDirectoryPicker({ mode: "readwrite" });
+  const [progress, failures] = [document.getElementById("progress"), []];
+  const files = await allFiles();
+  for (const [at, file] of files.entries()) {
+    progress.textContent = `${at} of ${files.length} files`;
+    await saveFile(root, file).catch((error) => failures.push(`${file.path}: ${error.message}`));
+  }
+  progress.textContent = `${files.length - failures.length} of ${files.length} files are in the folder.${failures.length ? ` Not: ${failures.join("; ")}` : ""}`;
+}
+
+function offerAll(bytes) {
+  const button = document.getElementById("download");
+  const canWrite = "showDirectoryPicker" in window;
+  button.textContent = `Download all (${size(bytes)}) …`;
+  button.hidden = !canWrite;
+  button.addEventListener("click", () => {
+    button.disabled = true;
+    saveAll().catch((error) => error.name === "AbortError" || say(error.message)).finally(() => (button.disabled = false));
+  });
+  if (!canWrite) document.getElementById("progress").textContent = "This browser cannot write into a folder: download the files one by one, or all with the command.";
+  document.getElementById("command").textContent = `klein download '${location.href}'`;
+  document.getElementById("all").hidden = false;
+}
+
 async function show() {
   const shown = await ask("GET", "/share");
   const what = `${shown.file_count} ${shown.file_count === 1 ? "file" : "files"}, ${size(shown.size_bytes)}`;
   document.querySelector("h1").textContent = `${shown.mission.project.name} / ${shown.mission.name}`;
   document.getElementById("what").textContent = `${what}; until ${new Date(shown.expires_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })}.`;
+  offerAll(shown.size_bytes);
   await showMore(null);
+  const more = [ask("GET", `/missions/${shown.mission.id}`).then(showAbout), showTopics(shown.mission.id), showPicture()];
+  for (const { reason } of await Promise.allSettled(more)) if (reason) say(reason.message);
 }
 
 show().catch((error) => say(error.message));
