@@ -104,7 +104,7 @@ const secret = (await sharing.locator("[data-secret] pre").innerText()).trim();
 await sharing.getByRole("button", { name: "I have kept it" }).click();
 await sharing.waitFor({ state: "detached" });
 
-await page.getByRole("button", { name: "Download" }).click();
+await page.getByRole("button", { name: "Download" }).first().click();
 const dialog = page.getByRole("dialog", { name: "Download what was found" });
 await dialog.locator("strong").waitFor();
 seen.amount = await dialog.locator("strong").innerText();

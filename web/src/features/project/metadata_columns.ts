@@ -6,7 +6,7 @@ import { texts } from "@/texts/project";
 const PREFIX = "meta.";
 const SORTS: readonly string[] = ["name", "-name", "created", "-created", "start", "-start"];
 /** Columns of fields that are shown until somebody chooses. */
-const USUAL = 3;
+const USUAL = 2;
 
 /** Returns an order as the server knows it, whatever stands in the address. */
 export function sortOf(text: string): string {

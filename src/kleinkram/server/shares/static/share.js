@@ -5,6 +5,7 @@
 const secret = location.hash.slice(1);
 const AT_ONCE = 200;
 const PICTURES = ["png", "jpg", "jpeg", "webp", "gif"];
+const OPEN_TOPICS = 30;
 const MOST_PICTURE_BYTES = 20_000_000;
 
 function say(text) {
@@ -97,6 +98,7 @@ async function showTopics(missionId) {
     const line = box.querySelector("tbody").insertRow();
     for (const text of [topic.name, topic.message_type ?? "", topic.count ?? ""]) line.insertCell().textContent = text;
   }
+  box.open = items.length <= OPEN_TOPICS;
   box.hidden = false;
 }
 

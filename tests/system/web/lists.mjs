@@ -1,0 +1,82 @@
+// Lists of missions: metadata sorts and narrows them, several are changed and downloaded at once, a phone shows what has
+// no room behind a tap, and somebody without rights reads that they have none yet.
+// Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser, a link that signs
+// in, the server's address, an invitation for somebody else, the id of a project, and where pictures go.
+import { openBrowser } from "./browsing.mjs";
+
+const [web, executablePath, link, address, invitation, project, pictures] = process.argv.slice(2);
+const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { context, page } = await somebody();
+// A real folder of the browser's own, in place of the one that a person chooses in a window that no program can click in.
+await context.addInitScript(() => (window.showDirectoryPicker = () => navigator.storage.getDirectory()));
+await page.goto(link);
+await page.waitForURL((url) => url.pathname === "/");
+
+const names = async () => (await page.locator("main [data-index] [data-way]").allInnerTexts()).map((each) => each.trim());
+await page.goto(`${address}/projects/${project}`);
+await page.getByRole("row", { name: /mild/ }).waitFor();
+for (const order of ["ascending", "descending"]) {
+  await page.getByRole("button", { name: "temperature" }).click();
+  await page.locator(`[aria-sort=${order}]`, { hasText: "temperature" }).waitFor();
+  await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .going.busy") === null);
+  seen[order] = await names();
+}
+await page.getByRole("button", { name: "Filter by metadata" }).click();
+await page.getByLabel("Value").selectOption("spot");
+await page.getByRole("button", { name: "Apply" }).click();
+await page.getByRole("row", { name: /cold/ }).waitFor({ state: "detached" });
+seen.spots = await names();
+await page.getByRole("button", { name: "Clear filters" }).click();
+
+// Two at once: the same value for both, their files into a folder, then both into the trash.
+for (const name of ["cold", "mild"]) await page.getByRole("checkbox", { name: `Select ${name}` }).check();
+await page.getByRole("button", { name: "Set metadata" }).click();
+const dialog = page.getByRole("dialog");
+await dialog.getByLabel("Field").selectOption("operator");
+await dialog.getByLabel("Value").fill("grace");
+await look(page, "lists-metadata");
+await dialog.getByRole("button", { name: "Save" }).click();
+await dialog.waitFor({ state: "detached" });
+await page.getByRole("button", { name: "Download", exact: true }).click();
+const choose = dialog.getByRole("button", { name: "Choose a folder" });
+await choose.click();
+await dialog.locator("[data-saved]").waitFor();
+seen.saved = [await dialog.locator("[data-saved]").innerText()];
+await choose.click();
+await dialog.getByText("were there already").waitFor();
+seen.saved.push(await dialog.locator("[data-saved]").innerText());
+seen.command = await dialog.locator("pre").innerText();
+await look(page, "lists-download");
+seen.folder = await page.evaluate(async () => {
+  const found = {};
+  async function walk(folder, path) {
+    for await (const [name, handle] of folder.entries()) {
+      if (handle.kind === "directory") await walk(handle, `${path}${name}/`);
+      else found[path + name] = await (await handle.getFile()).text();
+    }
+  }
+  await walk(await navigator.storage.getDirectory(), "");
+  return found;
+});
+await page.keyboard.press("Escape");
+await page.getByRole("button", { name: "Delete", exact: true }).click();
+await dialog.getByRole("button", { name: "Delete", exact: true }).click();
+await page.getByRole("row", { name: /mild/ }).waitFor({ state: "detached" });
+seen.left = await names();
+
+await page.setViewportSize({ width: 390, height: 844 });
+await page.getByRole("button", { name: "Details of hot" }).click();
+seen.details = await page.locator(".details").innerText();
+await look(page, "lists-phone");
+
+const { page: other } = await somebody(() => true);
+await other.goto(invitation);
+await other.getByLabel(/password/i).fill("a long enough password");
+await other.getByRole("button", { name: "Make my account" }).click();
+await other.waitForURL((url) => url.pathname === "/");
+await other.locator("[data-no-access]").waitFor();
+seen.noAccess = [await other.locator("[data-no-access]").innerText()];
+await other.goto(`${address}/projects`);
+await other.locator("[data-no-access]").waitFor();
+await look(other, "lists-no-access");
+await tell();

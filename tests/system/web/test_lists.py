@@ -1,0 +1,56 @@
+"""Lists in a real browser: sorted and filtered by metadata, changed and downloaded many at once, and on a phone."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.system.house import House
+from tests.system.web.conftest import Act
+
+_FIELDS = """
+fields:
+  - {name: robot, type: choice, choices: [anymal, spot], required: true}
+  - {name: temperature, type: number, unit: degC}
+  - {name: operator, type: string}
+"""
+_MISSIONS = {"cold": ("anymal", -3), "mild": ("spot", 9.5), "hot": ("spot", 21)}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(280)
+def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
+    house: House, act: Act, pictures: Path, tmp_path: Path
+) -> None:
+    house.start()
+    terminal = house.terminal
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml")
+    for name, (robot, temperature) in _MISSIONS.items():
+        folder = tmp_path / name / "notes"
+        folder.mkdir(parents=True)
+        (folder / "day.txt").write_text(f"It was {name}.")
+        said = tmp_path / f"{name}.yaml"
+        said.write_text(f"robot: {robot}\ntemperature: {temperature}\n")
+        place = ("-p", "Alps", "-m", name, "--create", "--metadata", said)
+        terminal.run("upload", *place, f"{tmp_path / name}/")
+    (project,) = terminal.run("project", "list", "--json").json()["items"]
+    invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
+    seen = act("lists.mjs", house, invited["url"], project["id"], pictures)
+
+    assert seen["complaints"] == []
+    assert seen["axe"] == []
+    assert seen["wide"] == []
+    assert seen["ascending"] == ["cold", "mild", "hot"]
+    assert seen["descending"] == ["hot", "mild", "cold"]
+    assert sorted(seen["spots"]) == ["hot", "mild"]
+    assert seen["saved"] == ["2 files written.", "0 files written, 2 files were there already."]
+    assert seen["folder"] == {f"Alps/{name}/notes/day.txt": f"It was {name}." for name in ("cold", "mild")}
+    assert sorted(seen["command"].split("\n")) == [
+        f"klein download --nested --dest data -p Alps -m {name}" for name in ("cold", "mild")
+    ]
+    assert seen["left"] == ["hot"]
+    assert "21 degC" in seen["details"]
+    assert "You have no access yet" in seen["noAccess"][0]
+    assert "grace@example.org" in seen["noAccess"][0]
+    missions = terminal.run("mission", "list", "--json").json()["items"]
+    assert [mission["name"] for mission in missions] == ["hot"]
