@@ -148,6 +148,10 @@ async function saveFile(root: FileSystemDirectoryHandle, target: Target, source:
   return "written";
 }
 
+function isStopped({ signal }: Progress): boolean {
+  return signal.aborted;
+}
+
 /** Writes files below a folder. Files that are there, whole, are not fetched again: the same again resumes. */
 export async function saveToFolder(root: FileSystemDirectoryHandle, targets: readonly Target[], source: Source, progress: Progress): Promise<Saved> {
   const count = { written: 0, skipped: 0 };
@@ -155,11 +159,11 @@ export async function saveToFolder(root: FileSystemDirectoryHandle, targets: rea
   const waiting = targets.values();
   async function work(): Promise<void> {
     for (const target of waiting) {
-      if (progress.signal.aborted) return;
+      if (isStopped(progress)) return;
       try {
         count[await saveFile(root, target, source, progress)] += 1;
       } catch (thrown) {
-        if (!progress.signal.aborted) failures.push({ path: target.path.join("/"), reason: reasonOf(thrown) });
+        if (!isStopped(progress)) failures.push({ path: target.path.join("/"), reason: reasonOf(thrown) });
       }
     }
   }
@@ -169,15 +173,15 @@ export async function saveToFolder(root: FileSystemDirectoryHandle, targets: rea
 
 /** Returns files as one zip, uncompressed. One file that fails fails the zip, by name. */
 export async function zipOf(targets: readonly Target[], source: Source, progress: Progress): Promise<Blob> {
-  async function* inputs() {
+  function* inputs() {
     for (const target of targets) {
       const parts = partsOf(target, source, progress);
       const input = new ReadableStream<Uint8Array>({
         async pull(controller) {
           try {
-            const { done, value } = await parts.next();
-            if (done) controller.close();
-            else controller.enqueue(value);
+            const next = await parts.next();
+            if (next.done === true) controller.close();
+            else controller.enqueue(next.value);
           } catch (thrown) {
             controller.error(new FileFailed(`${target.path.join("/")}: ${reasonOf(thrown)}`));
           }
