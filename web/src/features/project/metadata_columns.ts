@@ -24,7 +24,7 @@ export function valueText(value: unknown, unit = ""): string {
     if (typeof latitude === "number" && typeof longitude === "number") return `${latitude}, ${longitude}`;
     return JSON.stringify(value);
   }
-  const text = typeof value === "number" ? String(value) : String(value as string);
+  const text = typeof value === "number" || typeof value === "string" ? String(value) : "";
   return unit === "" ? text : `${text} ${unit}`;
 }
 

@@ -26,7 +26,7 @@ export function findingsOf({ finding_counts: counts }: Run): readonly Findings[]
 export function metricNames(runs: readonly Run[]): readonly string[] {
   const counts = new Map<string, number>();
   for (const run of runs) {
-    for (const name of new Set(run.metrics?.map((metric) => metric.name))) counts.set(name, (counts.get(name) ?? 0) + 1);
+    for (const name of new Set(run.metrics.map((metric) => metric.name))) counts.set(name, (counts.get(name) ?? 0) + 1);
   }
   return [...counts].sort(([one, ones], [other, others]) => others - ones || one.localeCompare(other)).map(([name]) => name);
 }
@@ -35,7 +35,7 @@ const number = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
 
 /** Returns a metric of a run with its unit: that of the whole run, or of its only file; else how many files have it. */
 export function metricText(run: Run, name: string): string {
-  const metrics = run.metrics?.filter((metric) => metric.name === name) ?? [];
+  const metrics = run.metrics.filter((metric) => metric.name === name);
   const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
   if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
   return [number.format(metric.value), metric.unit ?? ""].filter((each) => each !== "").join(" ");
