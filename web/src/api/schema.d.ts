@@ -102,7 +102,7 @@ export interface paths {
         };
         /**
          * Get Admin Jobs
-         * @description Show the queue, and the jobs that were given up.
+         * @description Show the queue, the jobs that wait for another attempt, and those that were given up.
          */
         get: operations["get_admin_jobs"];
         put?: never;
@@ -127,6 +127,26 @@ export interface paths {
          * @description Put a job that was given up back into the queue.
          */
         post: operations["retry_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/admin/jobs/retry": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Retry Jobs
+         * @description Put all jobs that were given up back into the queue.
+         */
+        post: operations["retry_jobs"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2689,7 +2709,12 @@ export interface components {
         };
         /**
          * AdminHealth
-         * @description How the server is. `not_ready`: what keeps it from serving; `workers_at`: when each worker was last heard of.
+         * @description How the server is.
+         *
+         *     `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
+         *     when each worker process that is alive was last heard of; `worker_last_at`: when any was.
+         *     `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+         *     `invitation_warning`: what stops once a second person has an account, and what to do before.
          */
         AdminHealth: {
             /** Clock Skew S */
@@ -2698,6 +2723,8 @@ export interface components {
             database_bytes: number;
             /** Database Version */
             database_version: string;
+            /** Invitation Warning */
+            invitation_warning: string | null;
             /** Not Ready */
             not_ready: string | null;
             /**
@@ -2705,6 +2732,8 @@ export interface components {
              * Format: date-time
              */
             now: string;
+            /** Runs Problem */
+            runs_problem: string | null;
             /** Schema Version */
             schema_version: string;
             /** Store Checksum */
@@ -2715,18 +2744,26 @@ export interface components {
             store_writes_once: boolean;
             /** Version */
             version: string;
+            /** Warnings */
+            warnings: string[];
+            /** Worker Last At */
+            worker_last_at: string | null;
             /** Workers At */
             workers_at: string[];
         };
         /**
          * AdminJobs
-         * @description The queue, and the jobs that were given up last, at most 100; each is forgotten after a week.
+         * @description The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
+         *
+         *     A job that was given up is forgotten after a week.
          */
         AdminJobs: {
             /** Failed */
             failed: components["schemas"]["FailedJob"][];
             /** Queue */
             queue: components["schemas"]["JobAmount"][];
+            /** Retrying */
+            retrying: components["schemas"]["RetryingJob"][];
         };
         /**
          * AdminSettings
@@ -3358,7 +3395,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3467,8 +3504,9 @@ export interface components {
          *     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
          *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of problems inside the file, or globs:
          *     `*` finds files with any problem. Sizes in bytes; `recorded_*` against the file's span.
-         *     Quotes in `text` make several words one. `month` is the one in which the recording began, UTC. `without` are terms
-         *     of the query language (see the page on searching) of which none may hold.
+         *     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
+         *     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
+         *     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
          */
         FileFilter: {
             /**
@@ -3504,6 +3542,11 @@ export interface components {
             /** Mission Id */
             mission_id?: string | null;
             /**
+             * Missions
+             * @default []
+             */
+            missions: string[];
+            /**
              * Month
              * @default []
              */
@@ -3522,6 +3565,11 @@ export interface components {
             project?: string | null;
             /** Project Id */
             project_id?: string | null;
+            /**
+             * Projects
+             * @default []
+             */
+            projects: string[];
             /** Recorded After */
             recorded_after?: string | null;
             /** Recorded Before */
@@ -4379,8 +4427,18 @@ export interface components {
         /**
          * MissionTemplate
          * @description What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
+         *
+         *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
+         *     stand in comments. Dates, weather and operator are not among them.
          */
         MissionTemplate: {
+            /**
+             * Carried
+             * @default {}
+             */
+            carried: {
+                [key: string]: components["schemas"]["JsonValue"];
+            };
             fields: components["schemas"]["MetadataFields"];
             prefilled_from: components["schemas"]["MissionRef"] | null;
             /** Values */
@@ -4469,12 +4527,18 @@ export interface components {
          * MissionUpdate
          * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
          *
-         *     `metadata_yaml` is all metadata anew. `metadata` changes the fields that it names, null takes one away, and the
+         *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
+         *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
          *     document that said all is dropped.
          */
         MissionUpdate: {
             /** Completed */
             completed?: boolean | null;
+            /**
+             * Merge Yaml
+             * @default false
+             */
+            merge_yaml: boolean;
             /** Metadata */
             metadata?: {
                 [key: string]: components["schemas"]["JsonValue"];
@@ -4493,7 +4557,7 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
@@ -4519,7 +4583,7 @@ export interface components {
         };
         /**
          * OneTimeLink
-         * @description A link that is good once, until then.
+         * @description A link that is good once, until then. `warning`: what its use changes for others, and what to do before.
          */
         OneTimeLink: {
             /**
@@ -4529,6 +4593,8 @@ export interface components {
             expires_at: string;
             /** Url */
             url: string;
+            /** Warning */
+            warning?: string | null;
         };
         /**
          * Overview
@@ -5305,6 +5371,32 @@ export interface components {
              * @default 3600
              */
             time_s: number;
+        };
+        /**
+         * RetriedJobs
+         * @description How many jobs that were given up are in the queue again.
+         */
+        RetriedJobs: {
+            /** Count */
+            count: number;
+        };
+        /**
+         * RetryingJob
+         * @description A job that failed and waits for another attempt. `error` says why the last one failed.
+         */
+        RetryingJob: {
+            /** Attempts */
+            attempts: number;
+            /** Error */
+            error: string | null;
+            /** Id */
+            id: number;
+            /** Kind */
+            kind: string;
+            /** Next Attempt At */
+            next_attempt_at: string | null;
+            /** Ref */
+            ref: string | null;
         };
         /**
          * Right
@@ -7367,6 +7459,62 @@ export interface operations {
             };
         };
     };
+    retry_jobs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RetriedJobs"];
+                };
+            };
+            /** @description A failure, by its code: not_authenticated. */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: scope_missing, forbidden. */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: internal_error. */
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+            /** @description A failure, by its code: database_unavailable. */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     get_admin_scrub: {
         parameters: {
             query?: never;
@@ -7620,12 +7768,14 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
+                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -7708,12 +7858,14 @@ export interface operations {
             query?: {
                 as_admin?: boolean | null;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 noun?: string | null;
                 noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
+                project_ids?: string[];
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -9865,11 +10017,13 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 problem?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -10665,7 +10819,9 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -12297,9 +12453,11 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 message_type?: string[];
+                missions?: string[];
                 name?: string | null;
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -15606,7 +15764,9 @@ export interface operations {
                 cursor?: string | null;
                 limit?: number;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
             };
@@ -16515,6 +16675,15 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
+            /** @description A failure, by its code: too_many_streams. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
             /** @description A failure, by its code: internal_error. */
             500: {
                 headers: {
@@ -16546,7 +16715,9 @@ export interface operations {
                 limit?: number;
                 mine?: boolean;
                 mission_id?: string | null;
+                mission_ids?: string[];
                 project_id?: string | null;
+                project_ids?: string[];
                 state?: components["schemas"]["RunState"][];
             };
             header?: never;
@@ -17165,6 +17336,15 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
+            /** @description A failure, by its code: too_many_streams. */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
             /** @description A failure, by its code: internal_error. */
             500: {
                 headers: {
@@ -17234,7 +17414,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: no_inputs, file_unavailable. */
+            /** @description A failure, by its code: no_inputs, no_runner, file_unavailable. */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -17705,11 +17885,13 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 problem?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
@@ -18041,11 +18223,13 @@ export interface operations {
                 min_size_bytes?: number | null;
                 mission?: string | null;
                 mission_id?: string | null;
+                missions?: string[];
                 month?: string[];
                 path?: string[];
                 problem?: string[];
                 project?: string | null;
                 project_id?: string | null;
+                projects?: string[];
                 query?: string | null;
                 recorded_after?: string | null;
                 recorded_before?: string | null;
