@@ -80,6 +80,7 @@ class FileFields(TypedDict, total=False):
     label: str | Sequence[str]
     state: str | Sequence[str]
     content: str | Sequence[str]
+    problem: str | Sequence[str]
     month: str | Sequence[str]
     without: str | Sequence[str]
     recorded_after: Time
