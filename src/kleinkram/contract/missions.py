@@ -65,7 +65,7 @@ class MissionUpdate(_SaidOnce):
 
     name: Name | None = None
     project_id: uuid.UUID | None = None
-    merge_yaml: bool = False
+    merge_yaml: bool | None = None
     notes: Notes | None = None
     completed: bool | None = None
 

@@ -4534,11 +4534,8 @@ export interface components {
         MissionUpdate: {
             /** Completed */
             completed?: boolean | null;
-            /**
-             * Merge Yaml
-             * @default false
-             */
-            merge_yaml: boolean;
+            /** Merge Yaml */
+            merge_yaml?: boolean | null;
             /** Metadata */
             metadata?: {
                 [key: string]: components["schemas"]["JsonValue"];
