@@ -1,11 +1,13 @@
 """A store that lies: scrub and proof say so, and uploading the same files again mends them. As a lab would see it."""
 
 import os
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from kleinkram.client import connect
 from kleinkram.server.site import Site
 from tests.system import behind
 from tests.system.house import House
@@ -70,3 +72,40 @@ def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").rglob("*.bin")} == bodies
     behind.tidy(house)
     assert len(behind.objects(house)) == len(bodies), "what was damaged went with the sweep"
+
+
+def _flip_byte(house: House, needle: bytes) -> None:
+    """Change one byte of an object on the store's disk, where its content has `needle`."""
+    for path in house.data_dir.rglob("*.dat"):
+        at = path.read_bytes().find(needle)
+        if at >= 0:
+            with path.open("r+b") as file:
+                file.seek(at)
+                file.write(bytes([needle[0] ^ 1]))
+            return
+    raise AssertionError("no object on disk has it")
+
+
+def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(house: House, tmp_path: Path) -> None:
+    house.start()
+    terminal, folder = house.terminal, tmp_path / "day"
+    folder.mkdir()
+    needle = os.urandom(32)
+    (folder / "drive.bin").write_bytes(os.urandom(20_000) + needle + os.urandom(300_000))
+    (folder / "other.bin").write_bytes(os.urandom(5000))
+    terminal.run("project", "create", "p")
+    terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m", "--create")
+    terminal.run("verify", "--remote", "-p", "p", "-m", "m")
+    _flip_byte(house, needle)
+    began = time.monotonic()
+    ran = terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back", code=9)
+    assert time.monotonic() - began < 75, "a minute, and the start of a program on a busy machine"
+    assert "corrupt" in ran.err
+    assert "away" not in ran.err
+    assert [path.name for path in (tmp_path / "back").rglob("*.bin")] == ["other.bin"]
+    state, why = _states(terminal)["drive.bin"]
+    assert (state, "serves others" in str(why)) == ("corrupt", True)
+    token = (house.data_dir / "owner-token").read_text().strip()
+    with connect(house.told()["url"], token) as client:
+        needs = {(each.need.value, each.count) for each in client.home.get().attention}
+    assert ("files_corrupt", 1) in needs

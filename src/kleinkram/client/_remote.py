@@ -2,9 +2,11 @@
 
 import uuid
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 
 from kleinkram.client.files import Files
+from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.files import DownloadLink
 from kleinkram.recordings.connections import Connections
 from kleinkram.recordings.http_source import HttpSource
@@ -43,8 +45,17 @@ class RemoteFiles:
     def _source(self, link: DownloadLink) -> HttpSource:
         renew: Callable[[], str] = partial(self._sign_again, link.file_id)
         return HttpSource(
-            link.url, size_bytes=link.size_bytes, name=link.path, connections=self._connections, renew=renew
+            link.url,
+            size_bytes=link.size_bytes,
+            name=link.path,
+            connections=self._connections,
+            renew=renew,
+            check=partial(self._ask_for_check, link.file_id),
         )
+
+    def _ask_for_check(self, file_id: uuid.UUID) -> None:
+        with suppress(KleinkramError):  # who may not ask for it reads on
+            self._files.prove(file_id)
 
     def _sign_again(self, file_id: uuid.UUID) -> str:
         return self._files.links([file_id]).items[0].url

@@ -26,7 +26,8 @@ class HttpSource:
     """The bytes behind a URL that answers `Range` requests.
 
     `renew` is asked for another URL of the same bytes when one is refused (403), as one whose time is over is; it may
-    be called by any of the threads that read, by one at a time.
+    be called by any of the threads that read, by one at a time. `check` is called once, when the server behind the URL
+    fails (500): what is read may be damaged. `renew` is asked again before reading gives up, and may raise that it is.
 
     Attributes:
         bytes_read: bytes returned so far.
@@ -43,6 +44,7 @@ class HttpSource:
         name: str,
         connections: Connections | None = None,
         renew: Callable[[], str] | None = None,
+        check: Callable[[], None] | None = None,
     ) -> None:
         self.name = name
         self.size_bytes = size_bytes
@@ -52,6 +54,7 @@ class HttpSource:
         self._host = urlsplit(url).netloc.rpartition("@")[2]
         self._lock = threading.Lock()
         self._renew = renew
+        self._check = check
         self._renewing = threading.Lock()
         self._connections = connections or Connections(PARALLEL_READS)
 
@@ -118,10 +121,20 @@ class HttpSource:
                 raise SourceError(f"{self.name}: {error}") from error
             return self._fetch_stubbornly(offset, length, attempt + 1)
         except _Retryable as error:
+            if error.is_failure:
+                self._ask_for_check()
             if attempt == ATTEMPTS:
+                if error.is_failure and self._renew is not None:
+                    self._renew()
                 raise SourceError(f"{self.name}: {error} (tried {ATTEMPTS} times)") from error
         time.sleep(FIRST_PAUSE_S * 2 ** (attempt - 1))
         return self._fetch_stubbornly(offset, length, attempt + 1)
+
+    def _ask_for_check(self) -> None:
+        with self._lock:
+            check, self._check = self._check, None
+        if check is not None:
+            check()
 
     def _has_other(self, refused: str) -> bool:
         """Get another URL in place of one that was refused; False where nobody has one."""
@@ -161,7 +174,7 @@ class HttpSource:
     def _check_answer(self, answer: HTTPResponse, offset: int, length: int) -> None:
         status = answer.status
         if status >= 500 or status == 429:
-            raise _Retryable(f"{self._host} answered {status}")
+            raise _Retryable(f"{self._host} answered {status}", is_failure=status == 500)
         if status == 403:
             raise _Refused(f"{self._host} refused bytes {offset}+{length} with 403")
         if status == 200:
@@ -179,7 +192,11 @@ def _headers(offset: int, length: int) -> dict[str, str]:
 
 
 class _Retryable(Exception):
-    """The same request may succeed next time."""
+    """The same request may succeed next time. `is_failure`: the server failed at it, and may for good."""
+
+    def __init__(self, message: str, *, is_failure: bool = False) -> None:
+        super().__init__(message)
+        self.is_failure = is_failure
 
 
 class _Refused(Exception):

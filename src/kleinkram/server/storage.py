@@ -300,7 +300,7 @@ class Storage:
         """Return where a process of this server, without credentials, reads an object by ranges."""
         return self._signers.internal.sign("GET", key, query={}, headers={}, expires_s=expires_s)
 
-    async def read(self, key: str) -> AsyncGenerator[bytes, None]:
+    async def read(self, key: str, *, attempts: int = 3) -> AsyncGenerator[bytes, None]:
         """Stream an object in pieces of at most 1 MiB; `aclose` gives the connection back before the end.
 
         Raises:
@@ -308,7 +308,7 @@ class Storage:
             StoreUnavailable: the store does not answer, or stops in the middle.
         """
         try:
-            async with aclosing(self._s3.stream(Question("GET", key))) as pieces:
+            async with aclosing(self._s3.stream(Question("GET", key), attempts=attempts)) as pieces:
                 async for piece in pieces:
                     yield piece
         except S3Error as error:

@@ -7,6 +7,7 @@ import contextlib
 import threading
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -47,6 +48,10 @@ _OF_ONE_FILE = (DestinationDiffers, DestinationRefused, TransferFailed, VerifyFa
 
 # Returns where to read some files, by their ids, in the order asked.
 Links = Callable[[Sequence[uuid.UUID]], Sequence[DownloadLink]]
+# Asks the server to read the bytes of a file and compare them with its checksums.
+Check = Callable[[uuid.UUID], object]
+# The server needs half a minute to find that a store cannot return an object.
+_CHECK_S, _CHECK_POLL_S = 45.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -69,8 +74,11 @@ class Downloader:
         watcher: Watcher,
         overwrite: bool,
         ended: Callable[[TransferResult], None],
+        check: Check | None = None,
     ) -> None:
         self._links = links
+        self._check = check
+        self._refused = Counter[uuid.UUID]()
         self._server = server
         self._stop = Stop()
         self._pace = pace
@@ -231,7 +239,10 @@ class Downloader:
                     self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
             elif answer.answer in {Answer.taken, Answer.try_again}:
                 self._lane.lost()
-                self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
+                if answer.error is None and not answer.is_of_all and self._check is not None:
+                    self._raise_if_damaged(fetching, answer.why, self._check)
+                else:
+                    self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
                 if self._link.has_moved():
                     self._stop.wait(RECONNECT_S)
                 elif not backoff.pause():
@@ -242,6 +253,27 @@ class Downloader:
             else:
                 raise TransferFailed(path=fetching.link.path, reason=answer.reason)
         self._lane.arrived(piece.last - piece.first + 1, time.monotonic() - began_at)
+
+    def _raise_if_damaged(self, fetching: Fetching, why: str, check: Check) -> None:
+        """Have the server check a file whose bytes the store does not return; the second time, wait for the answer.
+
+        Raises:
+            FileUnavailable: the server found that it is damaged or lost.
+        """
+        file_id = fetching.link.file_id
+        self._refused[file_id] += 1
+        if self._refused[file_id] > 2:
+            return
+        if self._refused[file_id] == 1:
+            with contextlib.suppress(KleinkramError):  # who may not ask for it waits for the store as before
+                check(file_id)
+                path = fetching.link.path
+                self._watcher.said(f"the store does not return {path} ({why}); the server is checking the file")
+            return
+        until = time.monotonic() + _CHECK_S
+        while time.monotonic() < until:
+            fetching.link = self._ask_links([file_id])[0]
+            self._stop.wait(_CHECK_POLL_S)
 
     def _receive(self, piece: _Piece, offset: int, answer: GetAnswer) -> int:
         """Write what the store gives, and return the offset reached; less than asked when the connection ended."""

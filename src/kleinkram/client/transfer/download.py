@@ -7,7 +7,7 @@ import uuid
 
 from kleinkram.client._client import Client
 from kleinkram.client.errors import DestinationRefused, DiskFull
-from kleinkram.client.transfer._downloader import Downloader, Links
+from kleinkram.client.transfer._downloader import Check, Downloader, Links
 from kleinkram.client.transfer._place import PART_SUFFIX, part_file
 from kleinkram.client.transfer.destination import DownloadPlan, Target
 from kleinkram.client.transfer.outcome import TransferReport, TransferResult
@@ -43,6 +43,7 @@ def download(
         connections=connections,
         bytes_per_s=bytes_per_s,
         watcher=watcher,
+        check=client.files.prove,
     )
 
 
@@ -55,8 +56,12 @@ def fetch(
     connections: int = CONNECTIONS,
     bytes_per_s: float | None = None,
     watcher: Watcher | None = None,
+    check: Check | None = None,
 ) -> TransferReport:
-    """Download what is planned from where `links`, asked of a `server`, says it is; all else is as in `download`."""
+    """Download what is planned from where `links`, asked of a `server`, says it is; all else is as in `download`.
+
+    `check` has the server read a file that the store does not return.
+    """
     watcher = watcher or Unwatched()
     results: dict[uuid.UUID | None, TransferResult] = {}
     lock = threading.Lock()
@@ -69,7 +74,9 @@ def fetch(
     if plan.targets:
         _check_room(plan)
     watcher.began(len(plan.targets), plan.size_bytes)
-    downloader = Downloader(links, server, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended)
+    downloader = Downloader(
+        links, server, pace=Pace(bytes_per_s), watcher=watcher, overwrite=overwrite, ended=ended, check=check
+    )
     link = downloader.run(plan.targets, connections)
     return TransferReport([results[target.file.id] for target in plan.targets], plan.left_out, link)
 

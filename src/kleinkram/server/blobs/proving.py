@@ -62,7 +62,7 @@ async def read_through(site: Site, key: str, along: Along | None = None) -> Foun
     sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
     started = time.monotonic()
     try:
-        async with aclosing(site.storage.read(key)) as pieces:
+        async with aclosing(site.storage.read(key, attempts=1)) as pieces:
             async for piece in pieces:
                 size_bytes += len(piece)
                 crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
@@ -86,25 +86,31 @@ def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: in
 async def _raise_if_unreadable(storage: Storage, key: str, offset: int, error: StoreUnavailable) -> None:
     """Find out whether the store fails at one object: reading it stopped at `offset`, for the reason in `error`.
 
-    A damaged object costs a store long: SeaweedFS 4.48 tries for 13 s before it answers 500, and a request is made
-    three times. So one that cannot be opened counts as tried; one that breaks off is read from there once more.
+    A damaged object costs a store long: SeaweedFS 4.48 tries for 13 s before it answers 500. So it is read once more,
+    from where reading stopped.
 
     Raises:
         Unreadable: it does.
         StoreUnavailable: the store is away.
     """
-    if offset and isinstance(error.__cause__, ClientPayloadError):
-        try:
-            await storage.read_range(key, offset=offset, size_bytes=_RETRIED_BYTES, attempts=1)
-        except StoreUnavailable as again:
-            error = again
-        else:
-            return
-    is_of_object = isinstance(error.__cause__, S3Error) and error.__cause__.status == 500
-    if not is_of_object and not isinstance(error.__cause__, ClientPayloadError):
+    if not _is_of_object(error):
+        return
+    try:
+        await storage.read_range(key, offset=offset, size_bytes=_RETRIED_BYTES, attempts=1)
+    except StoreUnavailable as again:
+        error = again
+    else:
+        return
+    if not _is_of_object(error):
         return
     await _read_control(storage)
     raise Unreadable(f"the store does not return its bytes from {offset:,} on, and serves others ({error.reason})")
+
+
+def _is_of_object(error: StoreUnavailable) -> bool:
+    """Say whether the store answered, and failed at this request: with 500, or by breaking off in the middle."""
+    cause = error.__cause__
+    return isinstance(cause, ClientPayloadError) or (isinstance(cause, S3Error) and cause.status == 500)
 
 
 async def _read_control(storage: Storage) -> None:
