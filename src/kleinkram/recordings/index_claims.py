@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kleinkram.recordings.model import Problem
+from kleinkram.recordings.model import Problem, counted
 from kleinkram.recordings.oddities import gathered
 from kleinkram.recordings.packed import PackedTable
 from kleinkram.recordings.tally import ROW, Batch
@@ -135,7 +135,7 @@ def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, found: Foun
         return _fault(claim.start, message)
     if claim.messages in (found.messages, UNKNOWN):
         return None
-    message = f"the index says that it holds {claim.messages} messages, it holds {found.messages}"
+    message = f"the index says that it holds {counted(claim.messages, 'message')}, it holds {found.messages}"
     return Problem("counts-disagree", f"chunk at byte {claim.start}", message)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
-from kleinkram.recordings.model import Lost, Problem
+from kleinkram.recordings.model import Lost, Problem, counted
 
 _FREE_VAIN_BYTES = 256 * 2**20
 _VAIN_SHARE = 4
@@ -117,7 +117,7 @@ class ListedChunk:
         """Compare the two, once all index records of the chunk were read."""
         if not self.damaged:
             if self.records and self.messages != self.found:
-                message = f"its index lists {self.messages} messages, it holds {self.found}"
+                message = f"its index lists {counted(self.messages, 'message')}, it holds {self.found}"
                 losses.note_index(Malformed(f"chunk at byte {self.start}", message))
         elif self.records:
             losses.messages += max(0, self.messages - self.found)

@@ -9,6 +9,7 @@ from kleinkram.recordings.bag.records import Fields
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, new_table
 from kleinkram.recordings.losses import Losses
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.packed import PackedTable
 
 
@@ -74,6 +75,6 @@ class Claims:
             losses.messages_are_known = False
         elif self.infos > chunks + losses.chunks:
             missing = self.infos - chunks - losses.chunks
-            losses.note(Malformed("index", f"it lists {missing} chunks more than the file holds"))
+            losses.note(Malformed("index", f"it lists {counted(missing, 'chunk')} more than the file holds"))
             losses.chunks += missing
         return self.messages if self.infos and self.infos >= self.chunks else None

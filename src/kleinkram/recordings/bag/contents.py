@@ -116,7 +116,7 @@ def parse_record(data: Buffer, at: int, where: str) -> Record:
     header_bytes = int(_U32.unpack_from(data, at)[0])
     header_at = at + _U32.size
     if header_bytes > MAX_HEADER:
-        raise Malformed(where, "rubbish where a record should begin")
+        raise Malformed(where, "no record where one should begin")
     if header_at + header_bytes + _U32.size > len(data):
         raise Malformed(where, "a record breaks off")
     fields = Fields(bytes(data[header_at : header_at + header_bytes]), where)

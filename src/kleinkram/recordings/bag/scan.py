@@ -30,6 +30,7 @@ from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.listening import CHUNK, CUT, RECORDS, Place
 from kleinkram.recordings.losses import ListedChunk, Losses
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
@@ -81,7 +82,12 @@ class _Scanner:
         self._define()
         nameless = scan.tally.finish()
         if nameless:
-            scan.losses.note(Malformed("connections", f"{nameless} messages are of connections that are not defined"))
+            scan.losses.note(
+                Malformed(
+                    "connections",
+                    f"{counted(nameless, 'message is', 'messages are')} of connections that are not defined",
+                )
+            )
             scan.losses.messages += nameless
         claims = self._claims
         if scan.refused is None:
@@ -160,7 +166,7 @@ class _Scanner:
         after = stream.at + total
         is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
         if is_at_hand and not contents.is_record(stream.window, after):
-            damage = Malformed(f"byte {stream.position + total}", "rubbish where a record should begin")
+            damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
             self.scan.losses.vain_bytes += total
             if record.opcode == records.CHUNK_INFO:
                 self._claims.forget_chunk_info()

@@ -22,7 +22,7 @@ from kleinkram.recordings.forward import Forward, from_source
 from kleinkram.recordings.index_claims import UNKNOWN, ChannelSets, ChunkClaim, FoundMessages, IndexFaults
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.losses import Losses
-from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.packed import PackedTable, smallest_to_come
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.stream import Cut, ForwardStream, open_bytes, open_range
@@ -86,7 +86,7 @@ def scan_bag(
     losses, messages = scan.losses, scan.tally.messages
     found = [*losses.problems(), *scan.index_faults.problems()]
     if scan.listed is not None and scan.listed != messages and not found:
-        message = f"the index says {scan.listed} messages, the file holds {messages}"
+        message = f"the index says {counted(scan.listed, 'message')}, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
     whole = bool(scan.index_start) and not losses.damage and scan.refused is None
     lost = None if whole or scan.refused is not None else losses.total(claimed=scan.listed, found=messages)
@@ -117,7 +117,9 @@ def _what_is_wrong(scan: BagScan) -> str:
     if scan.index_start is None:
         parts.append("it has no bag header")
     if scan.losses.unproven:
-        parts.append(f"{scan.losses.unproven} messages were saved from the beginning of a cut chunk")
+        parts.append(
+            f"{counted(scan.losses.unproven, 'message was', 'messages were')} saved from the beginning of a cut chunk"
+        )
     return "; ".join(parts)
 
 
@@ -161,7 +163,10 @@ def _read_index_section(source: Source, bag: _Bag, connections: int, chunks: int
             raise Malformed(where, "more connections than are read", certain=False)
         left -= 1
     if left:
-        raise Malformed(f"byte {source.size_bytes}", f"the file is cut within its index: {left} records are missing")
+        raise Malformed(
+            f"byte {source.size_bytes}",
+            f"the file is cut within its index: {counted(left, 'record is', 'records are')} missing",
+        )
     _check_places(bag)
 
 

@@ -20,6 +20,7 @@ from kleinkram.recordings.losses import Losses
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.plausible import CHUNK_FIXED
 from kleinkram.recordings.mcap.records import ChunkPlace, McapFacts
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.packed import smallest_to_come
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.stream import ForwardStream, open_bytes, open_range
@@ -223,7 +224,7 @@ def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losse
         raise NotIndexed("no-message-index", "the file has no message index", is_problem=False)
     elif found != facts.statistics.messages:
         claimed = facts.statistics.messages
-        message = f"the statistics say {claimed} messages, the index lists {found}"
+        message = f"the statistics say {counted(claimed, 'message')}, the index lists {found}"
         raise NotIndexed("counts-disagree", message, is_problem=True)
 
 

@@ -53,6 +53,11 @@ def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
+def no_record(head: Buffer) -> str:
+    """Say what stands where a record should begin: `head`, which is none."""
+    return "no record where one should begin" if any(head) else "zeros where a record should begin"
+
+
 def fault(data: Buffer, at: int, left: int) -> str | None:
     """Say what is wrong with a record that stands where one should; None: it can be followed.
 
@@ -62,7 +67,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     is_known = opcode in _NEEDED
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
-        return "only zeros or rubbish where a record should begin"
+        return no_record(data[at : at + RECORD_HEAD.size])
     if not is_known or opcode == records.MESSAGE:
         return None
     if is_unfinished_chunk(data, at):

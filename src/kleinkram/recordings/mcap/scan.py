@@ -36,6 +36,7 @@ from kleinkram.recordings.mcap.records import RECORD_HEAD, Channel, McapFacts, M
 from kleinkram.recordings.mcap.searching import find_inner, pass_damage
 from kleinkram.recordings.mcap.sections import Sections
 from kleinkram.recordings.mcap.walking import points_at_messages
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.stream import Cut, Lookahead
 from kleinkram.recordings.tally import Batch, Tally
 
@@ -89,7 +90,10 @@ class _Scanner:
         nameless = scan.tally.finish()
         if nameless:
             scan.losses.note(
-                Malformed("channels", f"{nameless} messages are on channels that the file does not define")
+                Malformed(
+                    "channels",
+                    f"{counted(nameless, 'message is', 'messages are')} on channels that the file does not define",
+                )
             )
             scan.losses.messages += nameless
         self._compare_index()
@@ -98,7 +102,9 @@ class _Scanner:
         is_believed = claimed is not None and not scan.losses.damage and not scan.losses.index_faults
         if claimed is not None and is_believed and claimed.messages > scan.tally.messages:
             missing = claimed.messages - scan.tally.messages
-            scan.losses.note(Malformed("statistics", f"they say {missing} messages more than the file holds"))
+            scan.losses.note(
+                Malformed("statistics", f"they say {counted(missing, 'message')} more than the file holds")
+            )
             scan.losses.messages += missing
         return scan
 

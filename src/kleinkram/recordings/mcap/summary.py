@@ -25,7 +25,7 @@ from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_footer, read_index
 from kleinkram.recordings.mcap.records import McapFacts, McapListener, Schema
 from kleinkram.recordings.mcap.scan import scan_records
-from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.oddities import gathered
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.stream import open_range
@@ -73,7 +73,7 @@ def scan_mcap(
     found = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.tally.messages
     if claimed is not None and claimed.messages != messages and not found:
-        message = f"the statistics say {claimed.messages} messages, the file holds {messages}"
+        message = f"the statistics say {counted(claimed.messages, 'message')}, the file holds {messages}"
         found.append(Problem("counts-disagree", forward.name, message))
     if not scan.losses.damage:
         found += _wrong_statistics(scan.facts, scan.tally.timeline)
@@ -110,7 +110,7 @@ def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
         found = timeline.topics[topic].count if topic in timeline.topics else 0
         if found != count:
             problems.append(
-                Problem("counts-disagree", topic, f"the statistics say {count} messages, there are {found}")
+                Problem("counts-disagree", topic, f"the statistics say {counted(count, 'message')}, there are {found}")
             )
     return gathered(problems)
 
@@ -156,7 +156,8 @@ def _what_is_wrong(losses: Losses, *, closed: bool) -> str:
         return never_closed
     damage = f"damaged {tell_damage(losses.damage)}"
     if losses.unproven:
-        damage += f"; {losses.unproven} messages were saved from the beginning of a cut chunk, without its checksum"
+        saved = counted(losses.unproven, "message was", "messages were")
+        damage += f"; {saved} saved from the beginning of a cut chunk, without its checksum"
     return f"{never_closed}; {damage}" if never_closed else f"it is {damage}"
 
 

@@ -15,7 +15,7 @@ from decimal import Decimal
 from math import hypot, isfinite
 
 from kleinkram.recordings.forward import Forward
-from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.other.lines import read_lines
 
 _UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -171,10 +171,10 @@ def trajectory_problems(found: Trajectory) -> list[Problem]:
     """Return what is wrong with a trajectory."""
     problems: list[Problem] = []
     if found.bad_lines:
-        message = f"{found.bad_lines} lines are no poses"
+        message = f"{counted(found.bad_lines, 'line is no pose', 'lines are no poses')}"
         problems.append(Problem("lines-damaged", f"line {found.first_bad_line}", message))
     if found.backward:
-        message = f"{found.backward} poses are stamped earlier than the one before"
+        message = f"{counted(found.backward, 'pose is', 'poses are')} stamped earlier than the one before"
         problems.append(Problem("out-of-order", "file", message))
     if found.not_unit:
         message = f"{found.not_unit} rotations are no unit quaternions"

@@ -18,7 +18,7 @@ from kleinkram.recordings.assemble import TopicType, bounded, measure
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.forward import Forward
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.stream import Cut, ForwardStream
 from kleinkram.recordings.timeline import Timeline
 
@@ -162,7 +162,7 @@ def _summary(log: _Log, timeline: Timeline, ended: Malformed | None, left: int) 
     reason, content = None, Content.indexed
     if ended is not None:
         what = "the log was cut" if isinstance(ended, Cut) else f"{ended.message}, at {ended.where}"
-        reason = f"{what}; {measured.message_count} messages before it can be read"
+        reason = f"{what}; {counted(measured.message_count, 'message')} before it can be read"
         content = Content.recovered if measured.topics else Content.broken
     return RecordingSummary(
         format=RecordingFormat.ulog,
@@ -183,16 +183,19 @@ def _summary(log: _Log, timeline: Timeline, ended: Malformed | None, left: int) 
 def _problems(log: _Log) -> list[Problem]:
     problems: list[Problem] = []
     if log.dropouts:
-        message = f"the logger lost {log.dropouts} times messages, {log.dropped_ms} ms in all"
+        message = f"the logger lost messages {counted(log.dropouts, 'time')}, {log.dropped_ms} ms in all"
         problems.append(Problem("dropouts", "file", message))
     if log.without_time:
-        message = f"{log.without_time} messages have no timestamp that can be read; left out"
+        message = f"{counted(log.without_time, 'message has', 'messages have')} no timestamp that can be read; left out"
         problems.append(Problem("rows-unusable", "file", message))
     if log.before_start:
-        message = f"{log.before_start} messages are stamped before the log's start; their log time is that of the start"
+        early = counted(log.before_start, "message is", "messages are")
+        message = f"{early} stamped before the log's start; the log time is that of the start"
         problems.append(Problem("stamps-before-start", "file", message))
     if log.undefined:
-        message = f"{log.undefined} messages belong to no topic that the log defines; left out"
+        message = (
+            f"{counted(log.undefined, 'message belongs', 'messages belong')} to no topic that the log defines; left out"
+        )
         problems.append(Problem("topic-undefined", "file", message))
     return problems
 

@@ -15,7 +15,7 @@ from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.forward import SourceForward
 from kleinkram.recordings.limits import MAX_CHUNKS, MAX_TOPICS
 from kleinkram.recordings.listening import CHUNK
-from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.model import RecordingSummary, counted
 from kleinkram.recordings.reading.bag_chunks import read_connection, walk
 from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import MAX_DEFINITIONS
@@ -101,7 +101,10 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> li
         else:
             raise Malformed(where, f"a record of type {record.opcode} in the index")
     if left:
-        raise Malformed(f"byte {stream.position}", f"the file is cut within its index: {left} records are missing")
+        raise Malformed(
+            f"byte {stream.position}",
+            f"the file is cut within its index: {counted(left, 'record is', 'records are')} missing",
+        )
     return found
 
 

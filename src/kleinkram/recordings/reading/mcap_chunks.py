@@ -12,6 +12,7 @@ from kleinkram.recordings.index_claims import FoundMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, WINDOW
 from kleinkram.recordings.listening import RECORDS
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.mcap.plausible import no_record
 from kleinkram.recordings.reading.chunk_table import ChunkHead, ChunkTable, Row
 from kleinkram.recordings.reading.merging import Block
 from kleinkram.recordings.reading.model import Channel, RawMessage, Selection
@@ -138,10 +139,11 @@ def walk(stream: ForwardStream) -> Iterator[Record]:
     """
     while not stream.at_end():
         start = stream.position
-        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+        record_head = stream.take(records.RECORD_HEAD.size)
+        opcode, length = records.RECORD_HEAD.unpack(record_head)
         end = stream.position + length
         if opcode == 0:
-            raise Malformed(f"byte {start}", "only zeros or rubbish where a record should begin")
+            raise Malformed(f"byte {start}", no_record(record_head))
         head = b""
         if opcode == records.MESSAGE:
             if length < MESSAGE_HEAD.size:

@@ -20,6 +20,7 @@ from kleinkram.recordings.listening import CHUNK
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.index import read_compression
 from kleinkram.recordings.mcap.records import BodyReader
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.reading.chunk_table import ChunkTable, Row
 from kleinkram.recordings.reading.definitions import Definitions
 from kleinkram.recordings.sources import Source
@@ -165,7 +166,7 @@ def _check(index: McapIndex) -> None:
     if len(table.rows) == 0 and index.message_count != 0:
         raise NotIndexed("no-chunk-index", "the file has no chunk index", is_problem=False)
     if index.chunk_count is not None and len(table.rows) != index.chunk_count:
-        message = f"the statistics say {index.chunk_count} chunks, the index lists {len(table.rows)}"
+        message = f"the statistics say {counted(index.chunk_count, 'chunk')}, the index lists {len(table.rows)}"
         raise NotIndexed("counts-disagree", message, is_problem=True)
     if index.message_count is None and ANY_CHANNEL in table.rows.column(Row._fields.index("channels")):
         raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)

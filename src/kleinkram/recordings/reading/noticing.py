@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from kleinkram.recordings.limits import MAX_PROBLEMS
-from kleinkram.recordings.model import Problem
+from kleinkram.recordings.model import Problem, counted
 
 
 class Noticed:
@@ -36,7 +36,8 @@ class Noticed:
             merged.setdefault((problem.code, problem.where), problem)
         found = list(merged.values())
         if self._late:
-            message = f"{self._late} messages are left out: earlier than the index says, too late to be put in order"
+            late = counted(self._late, "message is", "messages are")
+            message = f"{late} left out: earlier than the index says, too late to be put in order"
             found.append(Problem("too-late", "messages", message))
         if self._left_out:
             message = f"{self._left_out} more problems are not listed"

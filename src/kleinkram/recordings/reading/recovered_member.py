@@ -12,6 +12,7 @@ from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.mcap import records
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.reading.chunked import MAX_MESSAGE, ChunkedFile
 from kleinkram.recordings.reading.mcap_chunks import MESSAGE_HEAD, table_of_records
 from kleinkram.recordings.reading.member import MCAP, ChunkedMember, Contents
@@ -49,7 +50,8 @@ def open_recovered(
             }
             copy = stack.enter_context(temporary_copy(_reading(_records(recovery, numbers, counts))))
             found = recovery.found
-            message = f"{found.first_damage or 'it is damaged'}; at least {found.lost_messages} messages are lost"
+            lost = counted(found.lost_messages, "message is", "messages are")
+            message = f"{found.first_damage or 'it is damaged'}; at least {lost} lost"
             noticed.add("damaged", f"{name}: pages", message)
     except Malformed as error:
         noticed.add("damaged", f"{name}: pages", f"nothing of it can be read: {error}")
