@@ -111,6 +111,7 @@ def run_detail(state: RunState, **more: object) -> RunDetail:
         "artifact_count": 0,
         "finding_counts": {},
         "metric_count": 0,
+        "metrics": [],
         "created_at": NOW,
         "may_cancel": False,
         "definition": ActionDefinition(name="look", script="print(1)"),
