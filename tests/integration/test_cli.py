@@ -86,7 +86,7 @@ def test_metadata_is_merged_and_the_changes_are_printed(
         ("robot: anymal\nwind: 3\n", (), ["robot: (none) -> anymal", "wind: (none) -> 3"]),
         ("wind: 5\n", (), ["wind: 3 -> 5"]),
         ("wind: null\n", (), ["wind: 5 -> (none)"]),
-        ("operator: Ada\n", ("--replace",), ["robot: anymal -> (none)", "operator: (none) -> Ada"]),
+        ("operator: Ada\n", ("--replace",), ["operator: (none) -> Ada", "robot: anymal -> (none)"]),
     ):
         update.write_text(text)
         lines = klein("mission", "update", *where, "--metadata", update, *more).stdout.splitlines()

@@ -8,8 +8,8 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import places
-from kleinkram.client.checking import in_plain_words
 from kleinkram.contract.reports import EVENTS_FILE, MAX_EVENT_BYTES, Event, Finding, Metric, Preview, Progress, PutBack
+from kleinkram.contract.wording import in_plain_words
 
 T = TypeVar("T", bound=BaseModel)
 AnyPath = str | os.PathLike[str]

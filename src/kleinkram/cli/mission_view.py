@@ -37,7 +37,7 @@ def show_mission(mission: MissionRead) -> None:
 def show_changes(before: MissionRead, after: MissionRead) -> None:
     """Print what a change made different, a line for each field: the old value and the new one."""
     own = [(name, getattr(before, name), getattr(after, name)) for name in ("name", "notes")]
-    fields = dict.fromkeys([*before.metadata, *after.metadata])
+    fields = sorted({*before.metadata, *after.metadata})  # the database does not keep their order
     pairs = [*own, *((name, before.metadata.get(name), after.metadata.get(name)) for name in fields)]
     changes = [(name, old, new) for name, old, new in pairs if old != new]
     if not changes:

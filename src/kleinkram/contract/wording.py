@@ -1,0 +1,65 @@
+"""Messages for fields that fail validation, the same from the server and from the client.
+
+Users see these messages instead of pydantic's.
+"""
+
+from collections.abc import Mapping
+
+from pydantic import ValidationError
+
+# What pydantic calls a failure -> what is wanted instead, with its own numbers.
+_WORDS = {
+    "missing": "it is needed, and was not given",
+    "extra_forbidden": "there is no such field",
+    "enum": "it is one of {expected}",
+    "literal_error": "it is one of {expected}",
+    "string_too_long": "it has more than {max_length} characters",
+    "string_too_short": "it is too short",
+    "too_long": "there are more than {max_length}",
+    "too_short": "there are fewer than {min_length}",
+    "greater_than_equal": "it must be at least {ge}",
+    "greater_than": "it must be more than {gt}",
+    "less_than_equal": "it must be at most {le}",
+    "less_than": "it must be less than {lt}",
+    "finite_number": "it must be a finite number, neither NaN nor infinite",
+    "string_pattern_mismatch": "it must match {pattern}",
+    "none_required": "it cannot be given",
+    "json_invalid": "it is not valid JSON",
+}
+# The beginning of what pydantic calls a failure of a kind.
+_KINDS = {
+    "string": "it must be text",
+    "int": "it must be a whole number",
+    "float": "it must be a number",
+    "bool": "it must be true or false",
+    "uuid": "it must be an id",
+    "datetime": "it must be a time",
+    "timezone": "it must be a time with a zone",
+    "time": "it must be a time",
+    "date": "it must be a date",
+    "list": "it must be a list",
+    "dict": "it must be a mapping of names to values",
+    "model": "it must be of the right kind",
+    "path": "it must be a path",
+    "url": "it must be an address",
+    "bytes": "it must be bytes",
+    "union": "it is of none of the kinds that are allowed",
+}
+
+
+def in_plain_words(error: ValidationError) -> str:
+    """Return what is wrong with the first of several wrong fields, as a sentence."""
+    first = error.errors(include_url=False)[0]
+    return plain_message(first["type"], first["msg"], first.get("ctx", {}))
+
+
+def plain_message(kind: str, message: str, context: Mapping[str, object]) -> str:
+    """Return the message for one validation error: its type, pydantic's message, and the limits it names.
+
+    The messages of our own validators are kept.
+    """
+    if kind in {"value_error", "assertion_error"}:
+        return message.removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    if kind in _WORDS:
+        return _WORDS[kind].format(**context)
+    return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is not usable")
