@@ -66,11 +66,13 @@ const operations: Readonly<Record<string, string>> = {
   "runner.arrive": "brought the runner",
   "server.claim": "claimed the server",
   "session.create": "signed in",
+  "session.renew": "confirmed their sign-in",
   "session.revoke": "signed out",
   "share.create": "shared, by a link,",
   "share.revoke": "revoked the link",
   "store.scrub": "had compared with the database the store",
   "token.create": "made the token",
+  "token.bind": "bound to a runner the token",
   "token.revoke": "revoked the token",
   "upload.abort": "broke off the upload of",
 };

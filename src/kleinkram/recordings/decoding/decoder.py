@@ -10,7 +10,7 @@ from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissin
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_text import parse_idl
 from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
-from kleinkram.recordings.decoding.msg_text import Ros, parse_msg, short_name
+from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
 from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
 from kleinkram.recordings.decoding.schema import Layout, Struct, layout_of
 from kleinkram.recordings.decoding.values import Value
@@ -74,25 +74,15 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
     if parse is None:
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"
         return Undecodable(name, f"messages encoded as '{message_encoding}' {how} are not decoded")
-    if not data.strip() and short_name(name) not in _EMPTY_TYPES:
+    if not data.strip() and name.rpartition("/")[2] not in _EMPTY_NAMES:
         return Undecodable(name, "its definition is missing: the recording holds an empty one")
     struct = parse(name, data.decode("utf-8", "replace"))
     decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
     return Decoder(name, message_encoding, decode, struct, layout_of(struct))
 
 
-_EMPTY_TYPES = frozenset(
-    (
-        "std_msgs/Empty",
-        "std_srvs/Empty",
-        "std_srvs/Empty_Request",
-        "std_srvs/Empty_Response",
-        "std_srvs/EmptyRequest",
-        "std_srvs/EmptyResponse",
-        "std_srvs/Trigger_Request",
-        "std_srvs/TriggerRequest",
-    )
-)
+# Types without fields are called so in every package; should one hold bytes all the same, these are left over.
+_EMPTY_NAMES = frozenset(("Empty", "Empty_Request", "Empty_Response", "EmptyRequest", "EmptyResponse"))
 
 
 def _well_known(name: str, structs: list[Struct]) -> Decoder:

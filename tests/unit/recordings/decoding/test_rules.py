@@ -126,7 +126,7 @@ def test_a_type_without_fields_has_one_byte_in_cdr_and_none_in_ros1() -> None:
     assert plain(ros2(text), LITTLE + b"\0\0\x07") == {"e": [{}, {}], "z": 7}
     assert plain(ros1(text), b"\x07") == {"e": [{}, {}], "z": 7}
     assert plain(ros2("# nothing"), LITTLE) == {}
-    assert plain(ros1(""), b"") == {}
+    assert plain(ros1("# nothing"), b"") == {}
 
 
 def test_wide_texts_of_both_layouts() -> None:
