@@ -96,6 +96,13 @@ WRITES: dict[str, set[str]] = {
     "begin_provider_sign_in": set(),
     "look_at_code": set(),
     "look_at_device_login": set(),
+    "begin_provider_sign_in_again": set(),
+    "begin_totp": set(),
+    "confirm_totp": {"[totp.enable]"},
+    "disable_totp": {"[totp.disable]"},
+    "prove_password_again": {"[session.renew]"},
+    "renew_recovery_codes": {"[totp.renew_codes]"},
+    "reset_totp": {"[totp.reset]"},
 }
 
 

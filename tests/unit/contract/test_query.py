@@ -141,8 +141,8 @@ def test_several_projects_or_missions_mean_any_of_them() -> None:
     assert parse("project:a project:a") == FileFilter(project="a")
     for matching in (FileFilter(projects=["a", "b c"]), FileFilter(missions=[first, second, "night"], project="a")):
         assert parse(render(matching)) == matching
-    asked = whole(FileQuery(query="project:a", projects=["b", "c"]))
-    assert sorted(asked.projects) == ["a", "b", "c"]
+    with pytest.raises(InvalidQuery, match="said at column 1 already"):
+        whole(FileQuery(query="project:a", projects=["b", "c"]))  # both would have to hold
 
 
 _text = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=12)
@@ -183,7 +183,7 @@ _filters = st.builds(
 @given(_filters, st.lists(_filters, max_size=2))
 def test_the_text_of_a_filter_means_that_filter(plain: FileFilter, others: list[FileFilter]) -> None:
     """Words and comparisons may be spelled in more ways than one: these come back in the one spelling."""
-    terms = [f"-{term}" for other in others for term in map(render, _single(other))]
+    terms = [f"-{term}" for other in others for term in map(render, _single(other))][:50]
     matching = plain.model_copy(update={"without": parse(" ".join(terms)).without})
     text = render(matching)
     again = parse(text)

@@ -175,4 +175,13 @@ def whole(asked: FileQuery) -> FileFilter:
         InvalidQuery: the text cannot be read, or says again what may be said once.
     """
     plain = FileFilter.model_construct(**{name: getattr(asked, name) for name in FileFilter.model_fields})
-    return plain if asked.query is None else parse(f"{asked.query} {render(plain)}".strip())
+    if asked.query is None:
+        return plain
+    in_query = parse(asked.query)
+    for key in KEYS.values():
+        # Several in one text mean any of them; one in the text and one beside it cannot both hold.
+        fields = [field for field in (key.field, key.id_field, key.several_field) if key.several_field and field]
+        if any(getattr(in_query, field) for field in fields) and any(getattr(plain, field) for field in fields):
+            word = next(each for each in split(asked.query) if each.key == key.name and not each.is_negative)
+            raise word.wrong(f"{key.name} was said at column {word.column} already")
+    return parse(f"{asked.query} {render(plain)}".strip())
