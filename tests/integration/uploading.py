@@ -94,6 +94,8 @@ def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[st
     decisions = dict(zip(files, begin(api, mission_id, files), strict=True))
     ready = {path: each["file"] for path, each in decisions.items() if each["decision"] in {"present", "linked"}}
     uploads = {path: each["upload"] for path, each in decisions.items() if path not in ready}
+    if not uploads:
+        return ready
     parts = [(uploads[path], part) for path in uploads for part in parts_of(uploads[path], files[path])]
     wanted = [
         {"upload_id": upload["id"], "number": number, "checksum": checksum(upload["checksum"], body)}

@@ -35,7 +35,7 @@ def info(as_json: AsJson = False) -> None:
     )
     if linked:
         table(
-            ["provider", "address there", "linked", "last used", "id"],
+            ["provider", "address there", "linked", "last used", "identity"],
             [(_name(row), row.email, row.created_at, row.last_used_at, row.id) for row in linked],
         )
 

@@ -51,13 +51,13 @@ def jobs(as_json: AsJson = False) -> None:
     if told.retrying:
         note("")
         table(
-            ["id", "job", "for", "tries", "next try", "why the last one failed"],
+            ["number", "job", "for", "tries", "next try", "why the last one failed"],
             [(row.id, row.kind, row.ref, row.attempts, row.next_attempt_at, row.error) for row in told.retrying],
         )
     if told.failed:
         note("")
         table(
-            ["id", "job", "for", "tries", "given up", "why"],
+            ["number", "job", "for", "tries", "given up", "why"],
             [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in told.failed],
         )
         note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")

@@ -23,7 +23,7 @@ def list_(as_json: AsJson = False) -> None:
         show_json_list(rows)
         return
     table(
-        ["id", "signed in", "last used", "until", "from", "browser"],
+        ["session", "signed in", "last used", "until", "from", "browser"],
         [(row.id, row.created_at, row.last_used_at, row.expires_at, row.address, row.user_agent) for row in rows],
     )
 
