@@ -1,6 +1,7 @@
 """What is asked of recordings. Functions return selects; they touch no connection."""
 
 import uuid
+from collections.abc import Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, func, select
@@ -9,6 +10,7 @@ from sqlalchemy.dialects.postgresql import aggregate_order_by
 from kleinkram.contract.files import FileProblem, RecordingRead
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.recordings import group
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_missions
 from kleinkram.server.pages import Order
@@ -50,8 +52,17 @@ def recording_by_id(actor: Actor, recording_id: uuid.UUID) -> Select[Any]:
 RECORDING_ORDER = Order([recording.c.name, recording.c.id])
 
 
+def _in_order(paths: Sequence[str]) -> list[int]:
+    """Return the places of paths such that data files come in the order of recording, `run_2` before `run_10`."""
+    place = {path: number for number, path in enumerate(paths)}
+    members = [place[path] for found in group(paths) for path in found.members]
+    ordered = iter(members)
+    return [next(ordered) if number in set(members) else number for number in range(len(paths))]
+
+
 def to_recording(row: Row[Any]) -> RecordingRead:
-    """Return the recording that a row stands for."""
+    """Return the recording that a row stands for, its data files in the order of recording."""
+    order = _in_order(row.paths or [])
     return RecordingRead(
         id=row.id,
         mission=MissionRef(
@@ -61,8 +72,8 @@ def to_recording(row: Row[Any]) -> RecordingRead:
         ),
         name=row.name,
         kind=row.kind,
-        file_ids=row.file_ids or [],
-        paths=row.paths or [],
+        file_ids=[row.file_ids[number] for number in order],
+        paths=[row.paths[number] for number in order],
         missing=row.missing,
         surplus=row.surplus,
         problems=[FileProblem(**problem) for problem in row.problems],
