@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from itertools import chain, repeat
 from typing import Any
 
 import pytest
@@ -54,17 +55,22 @@ def _uploaded(api: Api, size_bytes: int) -> tuple[Any, str]:
     return file, key
 
 
-def _fails_at(key: str, answer: Reply | Cut) -> Rule:
-    return lambda asked: answer if asked.method == "GET" and asked.key == key else None
+_FAILURE = Reply(500, "InternalError")
 
 
-@pytest.mark.parametrize("answer", [Reply(500, "InternalError"), Cut()], ids=["not opened", "broken off"])
+def _fails_at(key: str, first: Reply | Cut, then: Reply | Cut) -> Rule:
+    """Answer the first request for an object, and those that follow."""
+    answers: Iterator[Reply | Cut] = chain([first], repeat(then))
+    return lambda asked: next(answers) if asked.method == "GET" and asked.key == key else None
+
+
+@pytest.mark.parametrize("answer", [_FAILURE, Cut()], ids=["not opened", "broken off"])
 @pytest.mark.parametrize("size_bytes", [3_000, 6_000_000], ids=["small", "large"])
 def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
     troubled: Api, middleman: Middleman, answer: Reply | Cut, size_bytes: int
 ) -> None:
     file, key = _uploaded(troubled, size_bytes)
-    middleman.rule = _fails_at(key, answer)
+    middleman.rule = _fails_at(key, answer, _FAILURE)
     try:
         run_jobs(troubled)
     finally:
@@ -77,8 +83,18 @@ def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "proven", "the store was at fault, and is no more"
 
 
+def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: Middleman) -> None:
+    file, key = _uploaded(troubled, 3_000)
+    middleman.rule = _fails_at(key, Cut(), Cut())
+    try:
+        run_jobs(troubled)
+    finally:
+        middleman.rule = lambda _asked: None
+    assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
+
+
 def _all_fail(asked: Asked) -> Reply | None:
-    return Reply(500, "InternalError") if asked.method == "GET" and "list-type" not in asked.query else None
+    return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
 
 
 def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman: Middleman) -> None:

@@ -93,24 +93,21 @@ async def _raise_if_unreadable(storage: Storage, key: str, offset: int, error: S
         Unreadable: it does.
         StoreUnavailable: the store is away.
     """
-    if not _is_of_object(error):
+    if not isinstance(error.__cause__, ClientPayloadError) and not _is_failure(error):
         return
     try:
         await storage.read_range(key, offset=offset, size_bytes=_RETRIED_BYTES, attempts=1)
     except StoreUnavailable as again:
-        error = again
-    else:
-        return
-    if not _is_of_object(error):
-        return
-    await _read_control(storage)
-    raise Unreadable(f"the store does not return its bytes from {offset:,} on, and serves others ({error.reason})")
+        if not _is_failure(again):
+            return
+        await _read_control(storage)
+        why = f"the store does not return its bytes from {offset:,} on, and serves others ({again.reason})"
+        raise Unreadable(why) from again
 
 
-def _is_of_object(error: StoreUnavailable) -> bool:
-    """Say whether the store answered, and failed at this request: with 500, or by breaking off in the middle."""
-    cause = error.__cause__
-    return isinstance(cause, ClientPayloadError) or (isinstance(cause, S3Error) and cause.status == 500)
+def _is_failure(error: StoreUnavailable) -> bool:
+    """Say whether the store itself answered that it failed: a connection that breaks off may be the network's fault."""
+    return isinstance(error.__cause__, S3Error) and error.__cause__.status == 500
 
 
 async def _read_control(storage: Storage) -> None:

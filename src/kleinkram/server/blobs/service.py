@@ -19,7 +19,7 @@ from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.changes import Notice, tell
 from kleinkram.server.db import Connection, among
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, hasten, settle, waiting
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, settle, start_now, waiting
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.sets import given
@@ -86,7 +86,7 @@ async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
     """
     waiting = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.prove_blob, blob.c.id))
     if (await db.execute(waiting)).first() is not None:
-        await hasten(db, Job.prove_blob, blob_id)
+        await start_now(db, Job.prove_blob, blob_id)
         return
     await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
 

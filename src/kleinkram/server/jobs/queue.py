@@ -53,9 +53,12 @@ _DEFER = text(
 )
 
 _HASTEN = text(
-    "UPDATE procrastinate_jobs SET priority = greatest(priority, :priority), scheduled_at = NULL"
-    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref"
-    " AND (priority < :priority OR scheduled_at > now())"
+    "UPDATE procrastinate_jobs SET priority = :priority"
+    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref AND priority < :priority"
+)
+_START_NOW = text(
+    "UPDATE procrastinate_jobs SET scheduled_at = NULL"
+    " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref AND scheduled_at > now()"
 )
 
 
@@ -69,8 +72,14 @@ async def enqueue(
 
 
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
-    """Put the job for one id, if it waits, before those that nobody waits for, also where it was to begin later."""
+    """Put the job for one id, if it waits, before those that nobody waits for."""
     await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
+
+
+async def start_now(db: Connection, job: Job, ref: uuid.UUID) -> None:
+    """Do as `hasten`, also for a job that was to begin later, such as one that waits for its next try."""
+    await hasten(db, job, ref)
+    await db.execute(_START_NOW, {"task": job.value, "ref": str(ref)})
 
 
 # By lot, so that two workers seldom take along the same.
