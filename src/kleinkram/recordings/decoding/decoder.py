@@ -82,7 +82,9 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
 
 
 # Types without fields are called so in every package; should one hold bytes all the same, these are left over.
-_EMPTY_NAMES = frozenset(("Empty", "Empty_Request", "Empty_Response", "EmptyRequest", "EmptyResponse"))
+_EMPTY_NAMES = frozenset(
+    ("Empty", "Empty_Request", "Empty_Response", "EmptyRequest", "EmptyResponse", "TriggerRequest", "Trigger_Request")
+)
 
 
 def _well_known(name: str, structs: list[Struct]) -> Decoder:

@@ -117,6 +117,20 @@ def test_types_without_fields_have_an_empty_definition() -> None:
     assert to_plain(ros1.decode(b"")) == {}
 
 
+@pytest.mark.parametrize(
+    ("message", "name"),
+    [
+        ("ros1", "std_srvs/TriggerRequest"),
+        ("cdr", "std_srvs/srv/Trigger_Request"),
+        ("ros1", "test_msgs/Empty"),
+        ("cdr", "test_msgs/msg/Empty"),
+    ],
+)
+def test_types_named_as_empty_have_no_fields(message: str, name: str) -> None:
+    decoder = decoder_for(message, name, "ros1msg" if message == "ros1" else "ros2msg", b"")
+    assert isinstance(decoder, Decoder)
+
+
 def test_a_database_without_definitions_is_decoded(recordings_dir: Path) -> None:
     path = recordings_dir / "ros2-db3/chatter_no_metadata.db3"
     found = decoder_for("cdr", "std_msgs/msg/String", "", b"")
