@@ -29,6 +29,7 @@ from kleinkram.client.errors import (
     remember_request,
 )
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
+from kleinkram.contract.wording import first_problem
 
 T = TypeVar("T", bound=BaseModel)
 _log = logging.getLogger("kleinkram.http")
@@ -178,9 +179,7 @@ class Api:
         try:
             return kind.model_validate_json(answer)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise self._not_understood(what, f"{where}: {first['msg']}") from None
+            raise self._not_understood(what, first_problem(error)) from None
 
     def _not_understood(self, what: str, reason: str) -> AnswerNotUnderstood:
         return AnswerNotUnderstood(

@@ -10,6 +10,7 @@ from ruamel.yaml.error import YAMLError
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import MAX_SCRIPT_CHARACTERS, ActionDefinition
+from kleinkram.contract.wording import first_problem
 from kleinkram.recordings.yaml_depth import shallow_yaml
 
 if sys.version_info >= (3, 11):
@@ -48,9 +49,7 @@ def read_manifest(path: Path) -> ActionDefinition:
     try:
         return ActionDefinition.model_validate(said)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the action"
-        raise InvalidInput(what=str(file), reason=f"{where}: {first['msg'].removeprefix('Value error, ')}") from error
+        raise InvalidInput(what=str(file), reason=first_problem(error, "the action")) from error
 
 
 def _of_yaml(file: Path, text: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import platformdirs
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, EndpointTaken, InvalidInput, NoSuchEndpoint
+from kleinkram.contract.wording import first_problem
 
 APPLICATION = "kleinkram"
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
@@ -159,8 +160,7 @@ def normal_url(url: str) -> str:
 def short_reason(error: Exception) -> str:
     """Return why a file cannot be used, without what stands in it: that may be a secret."""
     if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        return f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
+        return first_problem(error)
     return getattr(error, "strerror", None) or str(error)
 
 

@@ -3,9 +3,8 @@
 Users see these messages instead of pydantic's.
 """
 
-from collections.abc import Mapping
-
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 # What pydantic calls a failure -> what is wanted instead, with its own numbers.
 _WORDS = {
@@ -25,6 +24,7 @@ _WORDS = {
     "string_pattern_mismatch": "it must match {pattern}",
     "none_required": "it cannot be given",
     "json_invalid": "it is not valid JSON",
+    "url_scheme": "it must be an address that begins with {expected_schemes}",
 }
 # The beginning of what pydantic calls a failure of a kind.
 _KINDS = {
@@ -35,13 +35,15 @@ _KINDS = {
     "uuid": "it must be an id",
     "datetime": "it must be a time",
     "timezone": "it must be a time with a zone",
+    "time_delta": "it must be a duration",
     "time": "it must be a time",
     "date": "it must be a date",
     "list": "it must be a list",
     "dict": "it must be a mapping of names to values",
-    "model": "it must be of the right kind",
+    "model": "it must be a mapping of names to values",
     "path": "it must be a path",
     "url": "it must be an address",
+    "ip_": "it must be an IP address or a network of them",
     "bytes": "it must be bytes",
     "union": "it is of none of the kinds that are allowed",
 }
@@ -49,17 +51,23 @@ _KINDS = {
 
 def in_plain_words(error: ValidationError) -> str:
     """Return what is wrong with the first of several wrong fields, as a sentence."""
-    first = error.errors(include_url=False)[0]
-    return plain_message(first["type"], first["msg"], first.get("ctx", {}))
+    return message_of(error.errors(include_url=False)[0])
 
 
-def plain_message(kind: str, message: str, context: Mapping[str, object]) -> str:
-    """Return the message for one validation error: its type, pydantic's message, and the limits it names.
+def first_problem(error: ValidationError, whole: str = "") -> str:
+    """Return the first wrong field and what is wrong with it, as `fields.0.name: it must be text`.
 
-    The messages of our own validators are kept.
+    `whole` names what was read as a whole, for failures that are of no field.
     """
+    where = ".".join(str(part) for part in error.errors(include_url=False)[0]["loc"]) or whole
+    return f"{where}: {in_plain_words(error)}" if where else in_plain_words(error)
+
+
+def message_of(problem: ErrorDetails) -> str:
+    """Return the message for one of the problems that pydantic lists; the messages of our own validators are kept."""
+    kind = problem["type"]
     if kind in {"value_error", "assertion_error"}:
-        return message.removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        return problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind in _WORDS:
-        return _WORDS[kind].format(**context)
+        return _WORDS[kind].format(**problem.get("ctx", {}))
     return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is not usable")

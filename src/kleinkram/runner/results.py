@@ -25,6 +25,7 @@ from kleinkram.contract.reports import (
     Metric,
     Report,
 )
+from kleinkram.contract.wording import in_plain_words
 from kleinkram.runner.disk import open_inside
 
 MAX_ARTIFACTS = 100_000
@@ -234,6 +235,5 @@ def _only_artifacts(report: Report, paths: set[str], problems: _Problems) -> Rep
 
 
 def _first(error: ValidationError) -> str:
-    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    where = ".".join(map(str, first["loc"]))
-    return json.dumps(where) + ": " + first["msg"] if where else first["msg"]
+    where = ".".join(map(str, error.errors(include_url=False, include_input=False)[0]["loc"]))
+    return json.dumps(where) + ": " + in_plain_words(error) if where else in_plain_words(error)

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_settings import SettingsError
 
+from kleinkram.contract.wording import message_of
 from kleinkram.server.settings import Settings, is_secret
 
 _PREFIX = "KLEINKRAM_"
@@ -127,9 +128,9 @@ def _unknown(variable: str) -> str:
 
 def _sentence(problem: ErrorDetails) -> str:
     if not problem["loc"]:
-        return f"The settings do not fit together: {problem['msg']}."
+        return f"The settings do not fit together: {message_of(problem)}."
     name = str(problem["loc"][0])
     variable, rest = _variable(name), ".".join(str(part) for part in problem["loc"][1:])
     if problem["type"] == "missing" and not rest:
         return f"{variable} is not set: {Settings.model_fields[name].description}"
-    return f"{variable}{f' ({rest})' if rest else ''}: {problem['msg']}."
+    return f"{variable}{f' ({rest})' if rest else ''}: {message_of(problem)}."

@@ -25,7 +25,7 @@ from kleinkram.contract.errors import (
     WrongClient,
     to_problem,
 )
-from kleinkram.contract.wording import plain_message
+from kleinkram.contract.wording import message_of
 from kleinkram.server import measures
 from kleinkram.server.audit.places import named
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
@@ -195,7 +195,7 @@ async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
     problems = [
         FieldProblem(
             field=".".join(str(part)[:_MOST_CHARACTERS] for part in issue["loc"]),
-            message=plain_message(issue["type"], issue["msg"], issue.get("ctx", {}))[:_MOST_CHARACTERS],
+            message=message_of(issue)[:_MOST_CHARACTERS],
         )
         for issue in error.errors()[:_MOST_PROBLEMS]
     ]

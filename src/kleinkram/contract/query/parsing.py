@@ -15,6 +15,7 @@ from kleinkram.contract.query.keys import KEYS, META, Key, is_glob, possible
 from kleinkram.contract.query.rendering import render
 from kleinkram.contract.query.words import Word, as_value, joined, single, split
 from kleinkram.contract.searching import FileQuery
+from kleinkram.contract.wording import in_plain_words
 
 _AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": read_size, "duration": read_duration}
 _TIGHTEST: dict[str, Callable[[datetime.datetime, datetime.datetime], datetime.datetime]] = {
@@ -90,9 +91,8 @@ class _Reading:
         try:
             return FileFilter.model_validate(given)
         except ValidationError as error:
-            first = error.errors()[0]
-            word = self._said_by[str(first["loc"][0])]
-            raise word.wrong(first["msg"].removeprefix("Value error, ")) from None
+            word = self._said_by[str(error.errors()[0]["loc"][0])]
+            raise word.wrong(in_plain_words(error)) from None
 
     def _leave_out(self, word: Word) -> None:
         term = _Reading()

@@ -16,6 +16,7 @@ from pydantic import HttpUrl, JsonValue, StringConstraints, TypeAdapter, Validat
 
 from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
+from kleinkram.contract.wording import in_plain_words
 from kleinkram.server.dates import iso_text
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 
@@ -288,8 +289,7 @@ def _location(value: JsonValue) -> JsonValue:
     try:
         place = Location.model_validate(value, strict=True)
     except ValidationError as error:
-        first = error.errors()[0]
-        raise Wrong(str(first["msg"]), tuple(first["loc"])) from None
+        raise Wrong(in_plain_words(error), tuple(error.errors()[0]["loc"])) from None
     stored: JsonValue = place.model_dump(mode="json", exclude_none=True)
     return stored
 
@@ -298,8 +298,8 @@ def _link(value: JsonValue) -> JsonValue:
     text = _text(value, "an address")
     try:
         _URL.validate_python(text)
-    except ValidationError as error:
-        raise Wrong(f"is not an address: {error.errors()[0]['msg']}") from None
+    except ValidationError:
+        raise Wrong("is not an address: write it like https://example.org/path") from None
     return text
 
 

@@ -7,6 +7,7 @@ from pydantic_core import ErrorDetails, SchemaError
 
 from kleinkram.contract.errors import FieldProblem, FieldsInvalid
 from kleinkram.contract.metadata import MetadataField, MetadataFields
+from kleinkram.contract.wording import message_of
 from kleinkram.server.missions.metadata import Judge, Wrong
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 
@@ -82,7 +83,7 @@ def _declared_twice(document: Document) -> list[FieldProblem]:
 
 
 def _problem(document: Document, issue: ErrorDetails) -> FieldProblem:
-    return _placed(document, tuple(issue["loc"]), issue["msg"].removeprefix("Value error, "))
+    return _placed(document, tuple(issue["loc"]), message_of(issue))
 
 
 def _placed(document: Document, path: Path, message: str) -> FieldProblem:
