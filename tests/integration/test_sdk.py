@@ -16,7 +16,9 @@ from pydantic import ValidationError
 import kleinkram
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.client.tokens import Reach
 from kleinkram.contract.errors import KleinkramError, MetadataInvalid, NotFound
+from kleinkram.contract.rights import Right, TokenKind
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 from tests.integration.jobs import run_jobs
@@ -84,6 +86,34 @@ def test_names_are_taken_wherever_ids_are(client: Client, place: tuple[str, str]
     assert client.runs.count(project=project, mission=ref, state="failed") == 0
     with pytest.raises(NotFound):
         client.missions.update(f"{project}/none", notes="")
+
+
+def test_groups_people_links_and_tokens_go_by_name_as_well(client: Client, place: tuple[str, str]) -> None:
+    project, mission = place
+    me, name = client.me.get(), uuid.uuid4().hex[:8]
+    group = client.groups.create(f"field-{name}")
+    assert client.groups.set_member(f"FIELD-{name}", me.person.name, is_editor=True).person.id == me.person.id
+    assert [row.person.id for row in client.groups.members(group)] == [me.person.id]
+    renamed = client.groups.rename(group.name, f"crew-{name}")
+
+    where = client.projects.get(project)
+    client.access.grant(where, renamed.name, Right.read)
+    client.access.revoke(where, renamed.name)
+    assert renamed.name not in [grant.to.name for grant in client.access.grants(where)]
+    client.groups.delete(renamed.name)
+    with pytest.raises(NotFound):
+        client.groups.get(renamed.name)
+
+    ends = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)
+    file = client.files.list(project=project, mission=mission)
+    share = client.shares.create(f"{project}/{mission}", name, expires_at=ends, file_ids=[next(file)])
+    assert [row.id for row in client.shares.list(mission_id=f"{project}/{mission}")] == [share.share.id]
+    client.shares.revoke(name)
+
+    made = client.tokens.create(f"robot-{name}", kind=TokenKind.robot, reach=Reach(project_ids=[project]))
+    client.tokens.revoke(made.token.name)
+    with pytest.raises(NotFound):
+        client.tokens.get(made.token.name)
 
 
 def test_filters_are_said_by_keywords(client: Client, place: tuple[str, str]) -> None:

@@ -9,7 +9,7 @@ from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
 from kleinkram.client.groups import Groups
 from kleinkram.client.people import People
-from kleinkram.client.references import the_one
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.grants import AccessRead, GrantCreate, Grantee, GranteeKind, GrantRead
 from kleinkram.contract.missions import MissionRead
@@ -35,25 +35,30 @@ class Access:
         return pages(self._api, f"{_path(place)}/grants", GrantRead, [])
 
     def grant(
-        self, place: Place, to: Grantee, right: Right, *, expires_at: datetime.datetime | None = None
+        self, place: Place, to: Grantee | str, right: Right, *, expires_at: datetime.datetime | None = None
     ) -> GrantRead:
         """Give a right, in place of the one that was given there to the same one before.
+
+        `to` is whom `grantee` returns, or what it takes: an address, a name or an id.
 
         Raises:
             RightExceeded: it is more, or for longer, than one holds.
             LastOwner: it takes the place of the last lasting owner's.
             InvalidInput: the address is none, or the time has no zone.
         """
+        to = self.grantee(to) if isinstance(to, str) else to
         whom = {"email": to.name} if to.kind is GranteeKind.email else {f"{to.kind.value}_id": to.id}
         body = checked(GrantCreate, "The grant", **whom, right=right, expires_at=expires_at)
         return self._api.send("POST", f"{_path(place)}/grants", GrantRead, body)
 
-    def revoke(self, place: Place, grant_id: uuid.UUID) -> None:
-        """Take a right away.
+    def revoke(self, place: Place, grant: Ref) -> None:
+        """Take a right away: a grant, its id, or the name, address or id of whom it is to.
 
         Raises:
             LastOwner: it is the last lasting owner's.
         """
+        found = find_grant(self.grants(place), grant) if isinstance(grant, str) else None
+        grant_id = found.id if found else known_id(grant, "grant")
         self._api.delete(f"{_path(place)}/grants/{grant_id}")
 
     def grantee(self, ref: str) -> Grantee:

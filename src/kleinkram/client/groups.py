@@ -6,9 +6,9 @@ import uuid
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
-from kleinkram.client.references import the_one
+from kleinkram.client.people import People
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
-from kleinkram.contract.names import is_id
 
 
 class Groups:
@@ -21,16 +21,25 @@ class Groups:
         """Yield the groups that one is in, by name; admins see all. `name` may be a glob."""
         return pages(self._api, "/groups", GroupRead, query_of(None, name=name), limit=limit)
 
-    def get(self, ref: str | uuid.UUID) -> GroupRead:
-        """Return the group with this id or name.
+    def get(self, ref: Ref) -> GroupRead:
+        """Return the group with this id or name. Wherever a group is meant, any of these will do, or the group itself.
 
         Raises:
             NotFound: there is none that one may see.
             AmbiguousName: a glob matches several.
         """
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return self._api.get(f"/groups/{ref}", GroupRead)
-        return the_one("group", ref, self.list(name=ref), name=lambda row: row.name, label=_label)
+        if (group_id := known_id(ref, "group")) is not None:
+            return self._api.get(f"/groups/{group_id}", GroupRead)
+        name = str(ref)
+        return the_one("group", name, self.list(name=name), name=lambda row: row.name, label=_label)
+
+    def id_of(self, ref: Ref) -> uuid.UUID:
+        """Return the id of a group; one that is known is not asked for.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        return known_id(ref, "group") or self.get(ref).id
 
     def create(self, name: str) -> GroupRead:
         """Make a group, with oneself as first member and editor.
@@ -42,7 +51,7 @@ class Groups:
         """
         return self._api.send("POST", "/groups", GroupRead, checked(GroupCreate, "The group", name=name))
 
-    def rename(self, group_id: uuid.UUID, name: str, *, if_edition: str | None = None) -> GroupRead:
+    def rename(self, group: Ref, name: str, *, if_edition: str | None = None) -> GroupRead:
         """Rename a group. For its editors.
 
         With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
@@ -53,25 +62,25 @@ class Groups:
             EditedMeanwhile: it is of another edition by now.
         """
         body = checked(GroupUpdate, "The group", name=name)
-        return self._api.patch(f"/groups/{group_id}", GroupRead, body, edition=if_edition)
+        return self._api.patch(f"/groups/{self.id_of(group)}", GroupRead, body, edition=if_edition)
 
-    def delete(self, group_id: uuid.UUID) -> None:
+    def delete(self, group: Ref) -> None:
         """Delete a group, and with it what was granted to it. For its editors.
 
         Raises:
             LastOwner: a project would be left without an owner.
             GroupFixed: it is one that the server's settings ask for.
         """
-        self._api.delete(f"/groups/{group_id}")
+        self._api.delete(f"/groups/{self.id_of(group)}")
 
-    def members(self, group_id: uuid.UUID) -> Listing[MemberRead]:
+    def members(self, group: Ref) -> Listing[MemberRead]:
         """Yield the people in a group, by name; addresses and past members are for its editors."""
-        return pages(self._api, f"/groups/{group_id}/members", MemberRead, [])
+        return pages(self._api, f"/groups/{self.id_of(group)}/members", MemberRead, [])
 
     def set_member(
         self,
-        group_id: uuid.UUID,
-        person_id: uuid.UUID,
+        group: Ref,
+        person: Ref,
         *,
         is_editor: bool = False,
         expires_at: datetime.datetime | None = None,
@@ -82,20 +91,29 @@ class Groups:
         With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
-            NotFound: there is nobody of that id whom one may know of; with `if_edition`, in the group.
+            NotFound: there is nobody of that name or id whom one may know of; with `if_edition`, in the group.
             InvalidInput: the time has no zone.
             EditedMeanwhile: the membership is of another edition by now.
         """
         body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
-        return self._api.send("PUT", f"/groups/{group_id}/members/{person_id}", MemberRead, body, edition=if_edition)
+        return self._api.send(
+            "PUT",
+            f"/groups/{self.id_of(group)}/members/{People(self._api).id_of(person)}",
+            MemberRead,
+            body,
+            edition=if_edition,
+        )
 
-    def remove_member(self, group_id: uuid.UUID, person_id: uuid.UUID) -> None:
+    def remove_member(self, group: Ref, person: Ref) -> None:
         """Take somebody out of a group, as its editor; or leave it oneself.
 
         Raises:
             LastOwner: a project would be left without an owner.
         """
-        self._api.delete(f"/groups/{group_id}/members/{person_id}")
+        self._api.delete(self._member(group, person))
+
+    def _member(self, group: Ref, person: Ref) -> str:
+        return f"/groups/{self.id_of(group)}/members/{People(self._api).id_of(person)}"
 
 
 def _label(group: GroupRead) -> str:

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
-from kleinkram.client.references import the_one
-from kleinkram.contract.names import is_id
+from kleinkram.client.missions import Missions
+from kleinkram.client.references import HasId, Ref, known_id, the_one
 from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
 
 
@@ -21,11 +21,11 @@ class Shares:
 
     def create(
         self,
-        mission_id: uuid.UUID,
+        mission_id: Ref,
         name: str,
         *,
         expires_at: datetime.datetime,
-        file_ids: Sequence[uuid.UUID] | None = None,
+        file_ids: Sequence[uuid.UUID | HasId] | None = None,
     ) -> ShareMade:
         """Make a link to a mission, or to some of its files, and return it with its address, which is its secret.
 
@@ -36,18 +36,19 @@ class Shares:
             InvalidInput: the name is not usable.
         """
         given: dict[str, object] = {"name": name, "expires_at": expires_at}
-        given |= {} if file_ids is None else {"file_ids": [*file_ids]}
+        given |= {} if file_ids is None else {"file_ids": [known_id(each, "file") for each in file_ids]}
         body = checked(ShareCreate, "The link", **given)
-        return self._api.send("POST", f"/missions/{mission_id}/shares", ShareMade, body)
+        return self._api.send("POST", f"/missions/{Missions(self._api).id_of(mission_id)}/shares", ShareMade, body)
 
     def list(
-        self, *, mission_id: uuid.UUID | None = None, ended: bool = False, limit: int | None = None
+        self, *, mission_id: Ref | None = None, ended: bool = False, limit: int | None = None
     ) -> Listing[ShareRead]:
         """Yield the links that one may revoke, latest first; with `ended` those that are over, too."""
-        query = query_of(None, mission_id=mission_id, ended=ended or None)
+        mission = None if mission_id is None else Missions(self._api).id_of(mission_id)
+        query = query_of(None, mission_id=mission, ended=ended or None)
         return pages(self._api, "/shares", ShareRead, query, limit=limit)
 
-    def get(self, ref: str | uuid.UUID) -> ShareRead:
+    def get(self, ref: Ref) -> ShareRead:
         """Return the link with this id or name, or whose address or secret this is.
 
         Raises:
@@ -55,15 +56,20 @@ class Shares:
             AmbiguousName: several have that name.
         """
         rows: builtins.list[ShareRead] = [*self.list()]
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return the_one("link", str(ref), rows, name=lambda row: str(row.id), label=share_label)
-        secret = ref.rpartition("#")[2]
+        if (share_id := known_id(ref, "link")) is not None:
+            return the_one("link", str(share_id), rows, name=lambda row: str(row.id), label=share_label)
+        said = str(ref)
+        secret = said.rpartition("#")[2]
         begun = [row for row in rows if secret.startswith(row.prefix)]
-        return begun[0] if len(begun) == 1 else the_one("link", ref, rows, name=_name, label=share_label)
+        return begun[0] if len(begun) == 1 else the_one("link", said, rows, name=_name, label=share_label)
 
-    def revoke(self, share_id: uuid.UUID) -> None:
-        """End a link, from the next request on."""
-        self._api.delete(f"/shares/{share_id}")
+    def revoke(self, share: Ref) -> None:
+        """End a link, from the next request on.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        self._api.delete(f"/shares/{known_id(share, 'link') or self.get(share).id}")
 
     def shown(self) -> SharedRead:
         """Return what the link shows that this client came with.

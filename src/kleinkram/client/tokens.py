@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import Listing, pages
 from kleinkram.client.checking import checked
-from kleinkram.client.references import the_one
-from kleinkram.contract.names import is_id
+from kleinkram.client.missions import Missions
+from kleinkram.client.projects import Projects
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 
@@ -19,8 +20,8 @@ from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 class Reach:
     """The projects and missions that a token is limited to; with none of either, it is not limited."""
 
-    project_ids: Sequence[uuid.UUID] = ()
-    mission_ids: Sequence[uuid.UUID] = ()
+    project_ids: Sequence[Ref] = ()
+    mission_ids: Sequence[Ref] = ()
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ class Tokens:
         if scopes is not None:
             given["scopes"] = [*scopes]
         if reach is not None:
-            given |= {"project_ids": [*reach.project_ids], "mission_ids": [*reach.mission_ids]}
+            given["project_ids"] = [Projects(self._api).id_of(ref) for ref in reach.project_ids]
+            given["mission_ids"] = [Missions(self._api).id_of(ref) for ref in reach.mission_ids]
         return self._api.send("POST", "/tokens", TokenMade, checked(TokenCreate, "The token", **given))
 
     def list(self, *, everybody: bool = False, ended: bool = False, limit: int | None = None) -> Listing[TokenRead]:
@@ -81,7 +83,7 @@ class Tokens:
         query = query_of(None, everybody=everybody or None, ended=ended or None)
         return pages(self._api, "/tokens", TokenRead, query, limit=limit)
 
-    def get(self, ref: str | uuid.UUID, *, everybody: bool = False) -> TokenRead:
+    def get(self, ref: Ref, *, everybody: bool = False) -> TokenRead:
         """Return the token with this id, name, or beginning of its secret; `everybody` is for admins.
 
         Raises:
@@ -89,14 +91,19 @@ class Tokens:
             AmbiguousName: several have that name.
         """
         rows: builtins.list[TokenRead] = [*self.list(everybody=everybody)]
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return the_one("token", str(ref), rows, name=lambda row: str(row.id), label=token_label)
-        begun = [row for row in rows if row.prefix and ref.startswith(row.prefix)]
-        return begun[0] if len(begun) == 1 else the_one("token", ref, rows, name=_name, label=token_label)
+        if (token_id := known_id(ref, "token")) is not None:
+            return the_one("token", str(token_id), rows, name=lambda row: str(row.id), label=token_label)
+        said = str(ref)
+        begun = [row for row in rows if row.prefix and said.startswith(row.prefix)]
+        return begun[0] if len(begun) == 1 else the_one("token", said, rows, name=_name, label=token_label)
 
-    def revoke(self, token_id: uuid.UUID) -> None:
-        """End a token, those that were made with it, and those made with these, from the next request on."""
-        self._api.delete(f"/tokens/{token_id}")
+    def revoke(self, token: Ref) -> None:
+        """End a token, those that were made with it, and those made with these, from the next request on.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        self._api.delete(f"/tokens/{known_id(token, 'token') or self.get(token).id}")
 
 
 def token_label(token: TokenRead) -> str:

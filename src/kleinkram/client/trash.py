@@ -1,11 +1,8 @@
 """The trash, for programs."""
 
-import uuid
-
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._paging import Listing, pages
-from kleinkram.client.references import the_one
-from kleinkram.contract.names import is_id
+from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.trash import TrashNoun, TrashRead
 
 
@@ -19,7 +16,7 @@ class Trash:
         """Yield what lies in the trash, latest first."""
         return pages(self._api, "/trash", TrashRead, query_of(None, noun=noun.value if noun else None))
 
-    def get(self, ref: str | uuid.UUID, *, noun: TrashNoun | None = None) -> TrashRead:
+    def get(self, ref: Ref, *, noun: TrashNoun | None = None) -> TrashRead:
         """Return the thing in the trash with this id or name.
 
         Raises:
@@ -28,18 +25,18 @@ class Trash:
         """
         rows = self.list(noun)
         what = noun.value if noun else "deleted thing"
-        if isinstance(ref, uuid.UUID) or is_id(ref):
-            return the_one(what, str(ref), rows, name=lambda row: str(row.id), label=trash_label)
-        return the_one(what, ref, rows, name=lambda row: row.name, label=trash_label)
+        if (noun_id := known_id(ref, what)) is not None:
+            return the_one(what, str(noun_id), rows, name=lambda row: str(row.id), label=trash_label)
+        return the_one(what, str(ref), rows, name=lambda row: row.name, label=trash_label)
 
-    def restore(self, noun: TrashNoun, noun_id: uuid.UUID) -> None:
-        """Put a deleted thing back where it was.
+    def restore(self, noun: TrashNoun, ref: Ref) -> None:
+        """Put a deleted thing, by its id or name, back where it was.
 
         Raises:
             NameTaken, FileExists: something else has its name now.
             NotFound: it is not in the trash.
         """
-        self._api.post_empty(f"/trash/{noun.value}/{noun_id}/restore")
+        self._api.post_empty(f"/trash/{noun.value}/{known_id(ref, noun.value) or self.get(ref, noun=noun).id}/restore")
 
 
 def trash_label(row: TrashRead) -> str:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
 from kleinkram.client._paging import Listing, pages
+from kleinkram.client.missions import Missions
+from kleinkram.client.references import Ref
 from kleinkram.contract.uploads import (
     PartsSign,
     PartToSign,
@@ -41,9 +43,9 @@ class Uploads:
         """Return what time it is at the server, by which addresses end."""
         return self._api.now()
 
-    def list(self, mission_id: uuid.UUID) -> Listing[UploadRead]:
+    def list(self, mission_id: Ref) -> Listing[UploadRead]:
         """Yield the uploads into a mission that are under way."""
-        return pages(self._api, f"/missions/{mission_id}/uploads", UploadRead, [])
+        return pages(self._api, f"/missions/{Missions(self._api).id_of(mission_id)}/uploads", UploadRead, [])
 
     def get(self, upload_id: uuid.UUID) -> UploadRead:
         """Return an upload with the parts that the store holds."""
