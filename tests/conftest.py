@@ -26,6 +26,9 @@ for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
         signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
 
+# How wide the terminal is that tests are started from is not what commands are asked to print for.
+os.environ.pop("COLUMNS", None)
+
 # How long an example takes is the machine's business, and that of others on it.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")

@@ -65,11 +65,13 @@ def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place
     elsewhere = lab.project()
     runner = _runner(lab, _token(lab, project_ids=[elsewhere["id"]]))
     runner.hello()
-    made = launch(lab, runner, place.mission)
-    assert runner.claim() is None
-    assert "limited to other projects" in lab.get(f"/runs/{made['id']}").ok()["waits_for"]
+    (refused,) = lab.post("/runs", _run(place, runner.labels)).ok()["items"]
+    assert refused["outcome"] == "refused"
+    assert "limited to other projects" in refused["problem"]["detail"]
     allowed = _runner(lab, _token(lab, project_ids=[place.project["id"]]), labels=runner.labels)
     allowed.hello()
+    made = launch(lab, runner, place.mission)
+    assert runner.claim() is None
     assert allowed.claim()["run_id"] == made["id"]
 
 
