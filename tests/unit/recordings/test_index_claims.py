@@ -265,3 +265,14 @@ def test_a_healthy_file_is_read_over_a_network_without_its_message_indexes() -> 
         opened = far.reads
         assert sum(1 for _ in recording.raw_messages(start=T0 + 5 * S, end=T0 + 6 * S)) == 1
     assert far.reads == opened + 1
+
+
+def test_a_chunk_that_claims_more_than_it_holds_is_named_when_it_is_read() -> None:
+    source = mcap_of(messages())
+    data = bytearray(source.read(0, source.size_bytes))
+    at = next(at for opcode, at, _ in mcap_records(data, len(records.MAGIC), len(data)) if opcode == records.CHUNK)
+    struct.pack_into("<QI", data, at + 16, 2**40, 0)  # so large a one goes through a temporary file; no checksum
+    with Recording.open(MemorySource(bytes(data))) as recording:
+        assert sum(1 for _ in recording.raw_messages()) == CHUNKS * PER_CHUNK
+        (problem,) = (problem for problem in recording.problems if problem.code == "damaged")
+    assert f"{2**40} bytes are claimed" in problem.message

@@ -308,13 +308,13 @@ class _Reader:
     def _content_of(self, row: Row, faults: list[Malformed]) -> Callable[[int], bytes]:
         """Return a function that reads on in the content of a chunk; damage ends it, and is added to `faults`."""
         content: ForwardStream | None = None
-        crc = 0
+        crc = claimed = 0
 
         def start() -> ForwardStream:
-            nonlocal crc
+            nonlocal crc, claimed
             stream = open_range(self._file.source, row.start, row.start + row.length)
             head = self._file.format.open_chunk(stream)
-            crc = head.crc
+            crc, claimed = head.crc, head.uncompressed_bytes
             opened = open_decompressed(head.compression, limited(stream, head.stored_bytes), head.uncompressed_bytes)
             opened.start_crc()
             return opened
@@ -329,6 +329,9 @@ class _Reader:
                 return b""
             if not piece and crc and content.crc != crc:
                 faults.append(Malformed(f"byte {row.start}", "its checksum is wrong"))
+            if not piece and content.position < claimed and row.kind != CUT:
+                came_out = f"{claimed} bytes are claimed, {content.position} came out"
+                faults.append(Malformed(f"byte {row.start}", came_out))
             return piece
 
         return read
