@@ -7,6 +7,7 @@ import sqlite3
 import struct
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,6 +16,7 @@ from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.rosbag2.leftovers import find_leftovers
+from kleinkram.recordings.rosbag2.spool import KEPT_FREE_BYTES
 from kleinkram.recordings.summary import scan_with_logs
 
 from .databases import make_database, steady
@@ -136,6 +138,17 @@ def test_what_is_saved_of_a_database_while_it_is_read_leaves_no_temporary_file(
         assert 0 < sum(1 for _ in recording.raw_messages()) < 100
         assert "damaged" in {each.code for each in recording.problems}
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_log_is_not_applied_where_the_disk_has_no_room_for_what_sqlite_makes_of_it(
+    killed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log_bytes = killed.with_name("a.db3-wal").stat().st_size
+    free = KEPT_FREE_BYTES + max(killed.stat().st_size, log_bytes) + log_bytes // 2
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    summary = scan_file(killed)
+    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+    assert [each.code for each in summary.problems] == ["wal-not-merged", "log-not-read"]
 
 
 def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:
