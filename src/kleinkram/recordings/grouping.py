@@ -104,8 +104,8 @@ def _group_folder(
     own = _members(folder, paths, said)
     if not own and (said is None or not said.files):
         return _group_by_name(paths)
-    found = RecordingGroup(folder or ".", GroupKind.rosbag2, tuple(own), metadata_path)
-    return [found, *_group_by_name([path for path in paths if path not in set(own)])]
+    found, owned = RecordingGroup(folder or ".", GroupKind.rosbag2, tuple(own), metadata_path), set(own)
+    return [found, *_group_by_name([path for path in paths if path not in owned])]
 
 
 class _DataFile(NamedTuple):
@@ -152,8 +152,9 @@ def _members(folder: str, paths: list[str], said: Rosbag2Metadata | None) -> lis
     if not here:
         return [file.path for file in _in_order(by_stem[stem])] if stem is not None else []
     expected = [path for _, path in here]
+    are_expected = set(expected)
     stems = sorted({file.stem for path in expected if (file := _parse_name(path)) is not None})
-    surplus = [file.path for stem in stems for file in _in_order(by_stem[stem]) if file.path not in set(expected)]
+    surplus = [file.path for stem in stems for file in _in_order(by_stem[stem]) if file.path not in are_expected]
     return [*expected, *surplus]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from kleinkram.recordings.assemble import bounded, pending
 from kleinkram.recordings.bag.summary import scan_bag, summarise_bag
-from kleinkram.recordings.forward import Forward, from_source, peek
+from kleinkram.recordings.forward import Forward, SourceForward, from_source, peek
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
 from kleinkram.recordings.mcap.summary import scan_mcap, summarise_mcap
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
@@ -84,7 +84,7 @@ def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSumma
     reads = {suffix: from_source(log).read for suffix, log in logs.items()}
     try:
         with temporary_database(from_source(source).read, reads) as copy:
-            summary = scan_copy(copy, source.name)
+            summary = scan_copy(copy, source.name, lambda: scan_db3(SourceForward(source)))
     except TooLarge as error:
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
     return replace(summary, bytes_read=source.size_bytes + sum(log.size_bytes for log in logs.values()))

@@ -54,3 +54,20 @@ def test_the_order_of_arrival_does_not_matter(start_api: StartApi, make_case: Ma
     with connect(api.url, api.token) as client, client.recordings.open(recording["id"]) as opened:
         assert sum(1 for _ in opened.raw_messages()) == 25
         assert [each.code for each in opened.problems] == ["wal-not-merged"]
+
+
+def test_a_log_beside_a_copy_in_another_mission_does_not_change_what_is_said_of_the_first(
+    start_api: StartApi, make_case: MakeCase
+) -> None:
+    """Both missions hold one blob; whoever may read the first must not be able to change what others see of it."""
+    api = start_api()
+    first, other = (str(api.mission(api.project()["id"])["id"]) for _ in range(2))
+    bodies = _files(make_case("03A"))
+    upload_all(api, first, {path: body for path, body in bodies.items() if path.endswith(".db3")})
+    run_jobs(api)
+    before = _state(api, first)
+    assert before[2] == []
+    for path in sorted(bodies):
+        upload_all(api, other, {path: bodies[path]})
+    run_jobs(api)
+    assert _state(api, first) == before

@@ -165,6 +165,32 @@ def test_every_span_and_topic_is_complete_though_the_index_is_wrong(
         assert (recording.start_ns, recording.end_ns) == (every[0][1], every[-1][1])
 
 
+def chunk_two_at_the_end(number: int, body: bytearray) -> None:
+    """Let the index say of chunk 2 that it is as late as the second half of chunk 3: no contradiction by itself."""
+    if number == 2:
+        struct.pack_into("<QQ", body, 0, T0 + (3 * PER_CHUNK + 1) * S, T0 + (4 * PER_CHUNK - 1) * S)
+
+
+def test_a_local_file_is_read_whole_and_in_order_though_the_index_puts_a_chunk_too_late(tmp_path: Path) -> None:
+    path = tmp_path / "late.mcap"
+    path.write_bytes(change_mcap(records.CHUNK_INDEX, chunk_two_at_the_end))
+    with Recording.open(path) as recording:
+        assert [m.log_time_ns for m in recording.raw_messages()] == [T0 + n * S for n in range(CHUNKS * PER_CHUNK)]
+        assert {problem.code for problem in recording.problems} == {"index-damaged"}
+
+
+def test_every_reader_of_a_file_finds_all_once_one_of_them_has_seen_that_the_index_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "late.mcap"
+    path.write_bytes(change_mcap(records.CHUNK_INDEX, chunk_two_at_the_end))
+    with ParallelSource(path) as source, Recording.open(source) as recording:
+        first = recording.raw_messages(end=T0 + 3 * PER_CHUNK * S)
+        found = [next(first).log_time_ns]
+        assert "index-damaged" in {problem.code for problem in recording.problems}
+        assert sum(1 for _ in recording.raw_messages()) == CHUNKS * PER_CHUNK
+        found += [m.log_time_ns for m in first]
+    assert found == [T0 + n * S for n in range(3 * PER_CHUNK)]
+
+
 def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_compared(tmp_path: Path) -> None:
     """The times of chunks 1 and 2 are so wrong that nothing seems to lie there, and the statistics do not show it."""
 
@@ -239,3 +265,14 @@ def test_a_healthy_file_is_read_over_a_network_without_its_message_indexes() -> 
         opened = far.reads
         assert sum(1 for _ in recording.raw_messages(start=T0 + 5 * S, end=T0 + 6 * S)) == 1
     assert far.reads == opened + 1
+
+
+def test_a_chunk_that_claims_more_than_it_holds_is_named_when_it_is_read() -> None:
+    source = mcap_of(messages())
+    data = bytearray(source.read(0, source.size_bytes))
+    at = next(at for opcode, at, _ in mcap_records(data, len(records.MAGIC), len(data)) if opcode == records.CHUNK)
+    struct.pack_into("<QI", data, at + 16, 2**40, 0)  # so large a one goes through a temporary file; no checksum
+    with Recording.open(MemorySource(bytes(data))) as recording:
+        assert sum(1 for _ in recording.raw_messages()) == CHUNKS * PER_CHUNK
+        (problem,) = (problem for problem in recording.problems if problem.code == "damaged")
+    assert f"{2**40} bytes are claimed" in problem.message

@@ -7,14 +7,17 @@ import sqlite3
 import struct
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from kleinkram.recordings import Content
+from kleinkram.recordings import Content, FileSource
 from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.rosbag2.leftovers import find_leftovers
+from kleinkram.recordings.rosbag2.spool import KEPT_FREE_BYTES
+from kleinkram.recordings.summary import scan_with_logs
 
 from .databases import make_database, steady
 from .test_db3 import scan_file
@@ -100,6 +103,52 @@ def test_a_journal_that_names_another_file_deletes_nothing(tmp_path: Path) -> No
     with Recording.open(path) as recording:
         assert sum(1 for _ in recording.raw_messages()) == 5
     assert victim.read_text() == "precious"
+
+
+def test_a_journal_that_spoils_the_copy_costs_no_messages(tmp_path: Path) -> None:
+    """It cuts the database down to its first page, in which SQLite then finds no more than that it is malformed."""
+    path = make_database(tmp_path / "a.db3", messages=steady(100))
+    page_bytes = int.from_bytes(path.read_bytes()[16:18], "big")
+    head = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7" + struct.pack(">5I", 0, 0, 1, 512, page_bytes)
+    journal = path.with_name("a.db3-journal")
+    journal.write_bytes(head.ljust(512, b"\0"))
+    with FileSource(path) as source, FileSource(journal) as log:
+        summaries = [scan_file(path), scan_with_logs(source, {"-journal": log})]
+        recordings = [Recording.open(path), Recording.open([source, log])]
+        for recording in recordings:
+            with recording:
+                assert sum(1 for _ in recording.raw_messages()) == 100
+                assert {each.code for each in recording.problems} == {"journal-not-merged", "log-not-read"}
+    for summary in summaries:
+        assert (summary.content, summary.message_count) == (Content.recovered, 100)
+        assert [each.code for each in summary.problems] == ["journal-not-merged", "log-not-read"]
+
+
+def test_what_is_saved_of_a_database_while_it_is_read_leaves_no_temporary_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    path = make_database(tmp_path / "a.db3", messages=[(1, time, bytes(3000)) for _, time, _ in steady(100)])
+    data = bytearray(path.read_bytes())
+    data[-20 * 4096 : -19 * 4096] = bytes(4096)
+    path.write_bytes(data)
+    with Recording.open(path) as recording:
+        assert list((tmp_path / "tmp").iterdir()) == []
+        assert 0 < sum(1 for _ in recording.raw_messages()) < 100
+        assert "damaged" in {each.code for each in recording.problems}
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_log_is_not_applied_where_the_disk_has_no_room_for_what_sqlite_makes_of_it(
+    killed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log_bytes = killed.with_name("a.db3-wal").stat().st_size
+    free = KEPT_FREE_BYTES + max(killed.stat().st_size, log_bytes) + log_bytes // 2
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    summary = scan_file(killed)
+    assert (summary.content, summary.message_count) == (Content.recovered, 100)
+    assert [each.code for each in summary.problems] == ["wal-not-merged", "log-not-read"]
 
 
 def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:

@@ -35,7 +35,11 @@ class FreeArrays:
 
     def build(self, values: list[Any]) -> Any:
         """Return one array of all messages; never raises for what a value is."""
-        return self._array("", values, list(range(len(values))))
+        return self.build_field("", values)
+
+    def build_field(self, name: str, values: list[Any]) -> Any:
+        """Return the array of one field of all messages; never raises for what a value is."""
+        return self._array(name, values, list(range(len(values))))
 
     def _array(self, name: str, values: list[Any], rows: list[int]) -> Any:
         """Return the values of a field; `rows`: the message that each belongs to."""
@@ -101,30 +105,24 @@ class FreeArrays:
         return kept
 
 
-def joined(tables: Iterable[Any], notice: Callable[[int, DecodeError], None]) -> Any:
-    """Return batches as one table: a column has the type of its first batch; what cannot be cast is null."""
+def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeError], None]) -> Any:
+    """Return batches as one table. A column on whose type they do not agree is made anew of all its values."""
     tables = list(tables)
     for name in dict.fromkeys(name for table in tables for name in table.column_names):
         having = [place for place, table in enumerate(tables) if name in table.column_names]
-        columns = [tables[place].select([name]) for place in having]
         try:
-            pa.concat_tables(columns, promote_options="permissive")
+            pa.concat_tables([tables[place].select([name]) for place in having], promote_options="permissive")
         except pa.ArrowException:
-            kind = next(c.schema.field(0).type for c in columns if not pa.types.is_null(c.schema.field(0).type))
+            log_ns = [stamp for place in having for stamp in tables[place]["log_time_ns"].to_pylist()]
+            values = [value for place in having for value in tables[place][name].to_pylist()]
+            array = FreeArrays(type_name, log_ns, notice).build_field(name, values)
+            at = 0
             for place in having:
-                tables[place] = _cast(tables[place], name, kind, notice)
+                table = tables[place]
+                column = array.slice(at, len(table))
+                tables[place] = table.set_column(table.column_names.index(name), name, column)
+                at += len(table)
     return pa.concat_tables(tables, promote_options="permissive")
-
-
-def _cast(table: Any, name: str, kind: Any, notice: Callable[[int, DecodeError], None]) -> Any:
-    column = table[name]
-    try:
-        cast = column.cast(kind)
-    except pa.ArrowException:
-        first = table["log_time_ns"][0].as_py() or 0
-        notice(first, _misfit("", name, str(kind), column[0].as_py()))
-        cast = pa.nulls(len(column), kind)
-    return table.set_column(table.column_names.index(name), name, cast)
 
 
 def _misfit(type_name: str, name: str, kind: str, value: object) -> DecodeError:

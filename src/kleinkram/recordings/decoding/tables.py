@@ -77,7 +77,7 @@ def to_arrow(
     except pa.ArrowException:  # batches of JSON whose values changed their types
         from kleinkram.recordings.decoding.free_arrays import joined
 
-        return joined(tables, notice or _ignore)
+        return joined(decoder.type_name, tables, notice or _ignore)
 
 
 def to_pandas(

@@ -95,11 +95,11 @@ def _plain(value: Any, as_map: Callable[[Iterator[tuple[Any, Any]]], Any]) -> An
         return [_plain(part, as_map) for part in value]
     if isinstance(value, dict):
         return {key: _plain(part, as_map) for key, part in value.items()}
+    if hasattr(value, "DESCRIPTOR"):  # first: fields of a message can have any name
+        return {name: _plain(part, as_map) for name, part in _protobuf_fields(value)}
     if hasattr(value, "tolist"):
         is_bytes = getattr(value, "dtype", None) == "uint8" or getattr(value, "typecode", None) == "B"
         return value.tobytes() if is_bytes and hasattr(value, "tobytes") else value.tolist()
-    if hasattr(value, "DESCRIPTOR"):
-        return {name: _plain(part, as_map) for name, part in _protobuf_fields(value)}
     if hasattr(value, "keys"):  # protobuf's maps; reading one of a message-valued map by [] would add missing keys
         return as_map((key, _plain(value[key], as_map)) for key in sorted(value.keys()))
     if hasattr(value, "__len__") and hasattr(value, "__getitem__"):  # protobuf's repeated fields have no `__iter__`

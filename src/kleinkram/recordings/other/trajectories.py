@@ -1,7 +1,7 @@
 """Trajectories of TUM, KITTI and EuRoC: how many poses, from when to when, how long a way. One pass, nothing kept.
 
-TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp tells: the
-largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
+TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp that
+is not 0 tells: the largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
 
 Source: TUM RGB-D file formats (`timestamp tx ty tz qx qy qz qw`, seconds and metres); KITTI odometry (the upper
 3 x 4 of a pose a line, row by row, metres); EuRoC MAV's state_groundtruth_estimate0/data.csv (nanoseconds, place,
@@ -36,7 +36,7 @@ class Trajectory:
     """What is known of a trajectory so far.
 
     Attributes:
-        unit: of its stamps, a key of `_UNITS`; empty until the first one is read.
+        unit: of its stamps, a key of `_UNITS`; empty until the first one that is not 0 is read.
     """
 
     unit: str = ""
@@ -106,8 +106,9 @@ def add_stamped_pose(found: Trajectory, cells: list[bytes]) -> bool:
     """Add a pose of 8 cells: stamp, place, quaternion; False if they are none."""
     try:
         numbers = [float(cell) for cell in cells]
-        found.unit = found.unit or unit_of(cells[0].decode())
-        stamp = parse_stamp(cells[0].decode(), found.unit)
+        if not found.unit and numbers[0]:
+            found.unit = unit_of(cells[0].decode())
+        stamp = parse_stamp(cells[0].decode(), found.unit or "s")
     except (ValueError, UnicodeDecodeError):
         return False
     if not all(map(isfinite, numbers)):

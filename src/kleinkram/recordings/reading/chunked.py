@@ -109,17 +109,18 @@ class _Reader:
         self._salvage_left = MAX_SALVAGED
         self._searched = False
         self._numbers = array("Q")
+        self._is_selection_sure = True
 
     def select(self) -> array[int]:
         """Return the numbers of the chunks that may hold what is wanted, by their first time."""
         file, wanted, check = self._file, frozenset(self._wanted), self._file.check
-        is_limited = len(self._wanted) < len(file.channels) or self._selection[1:] != Selection()[1:]
-        if check is not None and is_limited:
+        if check is not None:
             check.before_selecting()
         self._numbers = file.table.select(self._selection, wanted)
         if check is not None and wanted and not self._numbers:
             check.when_nothing_fits()
             self._numbers = file.table.select(self._selection, wanted)
+        self._is_selection_sure = check is None or check.is_done
         return self._numbers
 
     def pieces(self, numbers: Iterable[int], order: tuple[int, ...]) -> Iterator[Piece]:
@@ -140,12 +141,16 @@ class _Reader:
             )
 
     def _with_missed(self, row: Row, run: Run) -> Run:
-        """Return the messages of a chunk; where it shows that the index is wrong, with those of the chunks that were
-        not selected for that reason.
+        """Return the messages of a chunk; where the index was seen to be wrong meanwhile, here or by another reader of
+        the file, with those of the chunks that were not selected for that reason.
         """
         check = self._file.check
-        if check is None or not check.settle():
+        if check is None or self._is_selection_sure:
             return run
+        check.settle()
+        if not check.is_done:
+            return run
+        self._is_selection_sure = True
         selected = set(self._numbers)
         missed = [n for n in self._file.table.select(self._selection, frozenset(self._wanted)) if n not in selected]
         if not missed:
@@ -303,13 +308,13 @@ class _Reader:
     def _content_of(self, row: Row, faults: list[Malformed]) -> Callable[[int], bytes]:
         """Return a function that reads on in the content of a chunk; damage ends it, and is added to `faults`."""
         content: ForwardStream | None = None
-        crc = 0
+        crc = claimed = 0
 
         def start() -> ForwardStream:
-            nonlocal crc
+            nonlocal crc, claimed
             stream = open_range(self._file.source, row.start, row.start + row.length)
             head = self._file.format.open_chunk(stream)
-            crc = head.crc
+            crc, claimed = head.crc, head.uncompressed_bytes
             opened = open_decompressed(head.compression, limited(stream, head.stored_bytes), head.uncompressed_bytes)
             opened.start_crc()
             return opened
@@ -324,6 +329,9 @@ class _Reader:
                 return b""
             if not piece and crc and content.crc != crc:
                 faults.append(Malformed(f"byte {row.start}", "its checksum is wrong"))
+            if not piece and content.position < claimed and row.kind != CUT:
+                came_out = f"{claimed} bytes are claimed, {content.position} came out"
+                faults.append(Malformed(f"byte {row.start}", came_out))
             return piece
 
         return read

@@ -1,9 +1,9 @@
 """Whether a reader may select chunks by what the index of a file says of them.
 
 The message index behind a chunk tells the times and channels of its messages. Of a local file it is compared with the
-index before a selection is believed; over a network that would cost a request a chunk, so there it is compared once
-something is seen to be wrong, and where nothing at all seems to fit a selection. Where the two differ, the chunk counts
-as holding what either of them says.
+index before any chunk is read: the times also decide in which order chunks are opened. Over a network that would cost a
+request a chunk, so there it is compared once something is seen to be wrong, and where nothing at all seems to fit a
+selection. Where the two differ, the chunk counts as holding what either of them says.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class IndexCheck:
         self.is_doubted = True
 
     def before_selecting(self) -> None:
-        """Compare what can be compared at little cost, before chunks are selected by times or channels.
+        """Compare what can be compared at little cost, before chunks are selected and put in order.
 
         Raises:
             SourceError: as `Source.read`.
@@ -73,16 +73,14 @@ class IndexCheck:
         self._compare_some(MAX_COMPARED_FAR)
         self.settle()
 
-    def settle(self) -> bool:
-        """Compare all chunks, if the index is doubted; return whether that was done now.
+    def settle(self) -> None:
+        """Compare all chunks, if the index is doubted and that was not done yet.
 
         Raises:
             SourceError: as `Source.read`.
         """
-        if self.is_done or not self.is_doubted:
-            return False
-        self._compare(range(len(self.table.rows)), is_all=True)
-        return True
+        if self.is_doubted and not self.is_done:
+            self._compare(range(len(self.table.rows)), is_all=True)
 
     def _compare_some(self, most: int) -> None:
         count = len(self.table.rows)

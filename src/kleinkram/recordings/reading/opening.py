@@ -95,7 +95,9 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
         TooCostly: a file has no index that can be used, and more than `most_bytes`.
         SourceError: the bytes cannot be read.
     """
-    with ExitStack() as stack:
+    stack = ExitStack()  # members add to it later, too
+    with ExitStack() as on_failure:
+        on_failure.callback(stack.close)
         name, files = _files_of(what, stack)
         metadata = _metadata_of(files, noticed)
         data = [file for file in files if file.base_name != METADATA_NAME and not file.is_log]
@@ -105,7 +107,8 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
         logs = {file.source.name: file.source for file in files if file.is_log}
         opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes, logs)
         members = tuple(opener.open(file) for file in data)
-        return Opened(name, names, members, lambda: opener.summarise(metadata, names), stack.pop_all())
+        on_failure.pop_all()
+    return Opened(name, names, members, lambda: opener.summarise(metadata, names), stack)
 
 
 @dataclass
@@ -245,9 +248,12 @@ class _Opener:
             is_applied = copy is not None
             path = copy or file.path
         else:
-            path = self._copy(SourceForward(file.source).read, file.source.name, self._logs_of(file))
+            name, logs = file.source.name, self._logs_of(file)
+            path = self._copy(SourceForward(file.source).read, name, logs)
             left = find_leftovers(path, file.base_name)
             is_applied = bool(left) and replay(path)
+            if left and not is_applied:  # half of it may be in this copy
+                path = self._copy(SourceForward(file.source).read, name)
         for problem in [*left, *([] if is_applied else not_read(left))]:
             self.noticed.add(problem.code, problem.where, problem.message)
         return path

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sqlite3
 from array import array
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -52,16 +52,20 @@ def scan_db3(forward: Forward, *, depth: Depth = Depth.scan) -> RecordingSummary
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
 
 
-def scan_copy(copy: Path, name: str) -> RecordingSummary:
+def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSummary]) -> RecordingSummary:
     """Read a database, a temporary copy with its log or journal beside it, of which SQLite makes one file.
+
+    `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
 
     Raises:
         SourceError: one of them cannot be read.
     """
     left = find_leftovers(copy, name)
-    is_applied = bool(left) and replay(copy)
-    summary = _read(copy, name, Depth.scan)
-    return _killed(summary, left, is_applied=is_applied) if left else summary
+    if not left:
+        return _read(copy, name, Depth.scan)
+    is_applied = replay(copy)
+    summary = _read(copy, name, Depth.scan) if is_applied else scan_without_logs()
+    return _killed(summary, left, is_applied=is_applied)
 
 
 def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: bool) -> RecordingSummary:

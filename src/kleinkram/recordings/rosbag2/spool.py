@@ -89,15 +89,16 @@ def temporary_copy(
     path = Path(name)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _fill(descriptor, read, folder, most_bytes)
+        # SQLite writes what is in a log into the database as well.
+        _fill(descriptor, read, folder, most_bytes, copies=1 if beside is None else 2)
         yield path
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
 
 
-def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int) -> None:
-    free = shutil.disk_usage(folder).free - KEPT_FREE_BYTES
+def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int, *, copies: int) -> None:
+    free = (shutil.disk_usage(folder).free - KEPT_FREE_BYTES) // copies
     left = min(most_bytes, free)
     while data := read(WINDOW):
         left -= len(data)

@@ -30,23 +30,31 @@ _DATABASE = ".db3"
 
 
 def logs_beside(blob_id: uuid.UUID) -> Select[Any]:
-    """Return suffix, key and size of the logs that lie beside the files of a database's blob, oldest file first."""
+    """Return suffix, key and size of the logs beside a database: beside the oldest file of its blob.
+
+    All missions that hold the blob share what is said of it. So a later copy with a log of its own, in a mission that
+    others may not see, changes nothing.
+    """
     database, log, log_blob = file.alias("database"), file.alias("log"), blob.alias("log_blob")
     suffix = func.substr(log.c.path, func.length(database.c.path) + 1)
+    oldest = (
+        select(file.c.id)
+        .where(file.c.blob_id == blob_id, file.c.deleted_at.is_(None))
+        .order_by(file.c.created_at, file.c.id)
+        .limit(1)
+    )
     return (
         select(suffix.label("suffix"), log_blob.c.key, log_blob.c.size_bytes)
         .join_from(database, log, log.c.mission_id == database.c.mission_id)
         .join(log_blob, log_blob.c.id == log.c.blob_id)
         .where(
-            database.c.blob_id == blob_id,
+            database.c.id == oldest.scalar_subquery(),
             database.c.path.endswith(_DATABASE),
             log.c.path.in_([database.c.path + each for each in LOG_SUFFIXES]),
-            database.c.deleted_at.is_(None),
             log.c.deleted_at.is_(None),
             log_blob.c.size_bytes > 0,
             log_blob.c.doomed_at.is_(None),
         )
-        .order_by(database.c.created_at, database.c.id)
     )
 
 

@@ -103,10 +103,7 @@ async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
 
 async def logs_beside(db: Connection, blob_id: uuid.UUID) -> dict[str, Row[Any]]:
     """Return, by suffix, key and size of the log and journal beside a database: its recorder was killed."""
-    found: dict[str, Row[Any]] = {}
-    for row in await db.execute(queries.logs_beside(blob_id)):
-        found.setdefault(row.suffix, row)
-    return found
+    return {row.suffix: row for row in await db.execute(queries.logs_beside(blob_id))}
 
 
 async def taken_along(db: Connection, row: Row[Any], *, most: int) -> Sequence[Row[Any]]:

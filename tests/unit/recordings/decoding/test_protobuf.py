@@ -25,6 +25,7 @@ def described(comment: str = "") -> descriptor_pb2.FileDescriptorSet:
     part = file.message_type.add(name="Part")
     part.field.add(name="x", number=1, type=F.TYPE_DOUBLE, label=1)
     part.field.add(name="parts", number=2, type=F.TYPE_MESSAGE, type_name=".p.Part", label=3)
+    part.field.add(name="tolist", number=3, type=F.TYPE_INT32, label=1)  # the name of a method of arrays
     top = file.message_type.add(name="M")
     top.field.add(name="stamp", number=1, type=F.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp", label=1)
     top.field.add(name="nums", number=2, type=F.TYPE_DOUBLE, label=3)
@@ -57,7 +58,7 @@ def sample() -> bytes:
     message: Any = message_factory.GetMessageClass(pool.FindMessageTypeByName("p.M"))()
     message.stamp.seconds = 5
     message.nums.extend([1, 2.5])
-    message.parts.add(x=1.5).parts.add(x=2.5)
+    message.parts.add(x=1.5, tolist=4).parts.add(x=2.5)
     message.kinds.extend([1, 0])
     message.names.append("a")
     message.blobs.append(b"\xff")
@@ -78,7 +79,7 @@ def decoder(comment: str = "") -> Decoder:
 EXPECTED = {
     "stamp": {"seconds": 5, "nanos": 0},
     "nums": [1.0, 2.5],
-    "parts": [{"x": 1.5, "parts": [{"x": 2.5, "parts": []}]}],
+    "parts": [{"x": 1.5, "parts": [{"x": 2.5, "parts": []}], "tolist": 4}],
     "kinds": [1, 0],
     "names": ["a"],
     "blobs": [b"\xff"],

@@ -238,16 +238,30 @@ def test_one_odd_json_value_is_null_and_named(odd: str, fine: list[str], column:
     assert not is_null or "'a" in noticed[2]
 
 
-def test_json_that_changes_its_types_between_batches_is_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("texts", "column", "odd"),
+    [
+        (["1", "2", '"x"', '"y"', "5", "6"], [1, 2, None, None, 5, 6], [2, 3]),
+        (["-1", "2", str(2**63 + 5), "3"], [-1, 2, None, 3], [2]),
+        (["1", "2", str(2**63 + 5), "3"], [1, 2, 2**63 + 5, 3], []),
+        ([str(2**53 + 2), "2", "0.5", "3"], [2**53 + 2, 2, 0.5, 3], []),
+        (["0.5", "2", str(2**60), "3"], [0.5, 2, 2**60, 3], []),
+        (["true", "false", "false", "2", "true"], [True, False, False, None, True], [3]),
+        (["[1]", "[2]", "[3]", '["x"]'], [[1], [2], [3], [None]], [3]),
+        (['"a"', "null", "7", "null", '"b"'], ["a", None, None, None, "b"], [2]),
+    ],
+)
+def test_json_that_changes_its_types_between_batches_is_one_table(
+    texts: list[str], column: list[object], odd: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tables, "BATCH_MESSAGES", 2)
     found = decoder_for("json", "Mouse", "jsonschema", b"")
     assert isinstance(found, Decoder)
-    noticed: list[str] = []
-    texts = ["1", "2", '"x"', '"y"', "5", "6"]
+    noticed: list[int] = []
     messages = [(n, n, f'{{"a": {text}}}'.encode()) for n, text in enumerate(texts)]
-    table = to_arrow(found, messages, notice=lambda _, error: noticed.append(str(error)))
-    assert table["a"].to_pylist() == [1, 2, None, None, 5, 6]
-    assert len(noticed) == 1
+    table = to_arrow(found, messages, notice=lambda time, _: noticed.append(time))
+    assert table["a"].to_pylist() == column
+    assert noticed == odd
 
 
 def test_a_json_id_beyond_int64_does_not_cost_the_table(make_case: Callable[[str], Path]) -> None:
