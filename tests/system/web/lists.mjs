@@ -1,10 +1,10 @@
 // Lists of missions: metadata sorts and narrows them, several are changed and downloaded at once, a phone shows what has
 // no room behind a tap, and somebody without rights reads that they have none yet.
 // Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser, a link that signs
-// in, the server's address, an invitation for somebody else, the id of a project, and where pictures go.
+// in, the server's address, an invitation for somebody else, a shared link, the id of a project, and where pictures go.
 import { openBrowser } from "./browsing.mjs";
 
-const [web, executablePath, link, address, invitation, project, pictures] = process.argv.slice(2);
+const [web, executablePath, link, address, invitation, share, project, pictures] = process.argv.slice(2);
 const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
 const { context, page } = await somebody();
 // A real folder of the browser's own, in place of the one that a person chooses in a window that no program can click in.
@@ -68,6 +68,14 @@ await page.setViewportSize({ width: 390, height: 844 });
 await page.getByRole("button", { name: "Details of hot" }).click();
 seen.details = await page.locator(".details").innerText();
 await look(page, "lists-phone");
+
+await page.goto(share);
+for (let times = 0; times < 2; times += 1) {
+  await page.getByRole("button", { name: /^Download all/ }).click();
+  await page.locator("#progress", { hasText: "in the folder" }).waitFor();
+}
+seen.shared = await page.locator("#progress").innerText();
+await look(page, "lists-share");
 
 const { page: other } = await somebody(() => true);
 await other.goto(invitation);

@@ -37,6 +37,19 @@ await searched("alps topic:/imu/* format:mcap");
 seen.typed = { asked: asked(), tabs: await tabs(), rows: await rows(), command: await page.locator("[data-command] pre").innerText() };
 await look(page, "search-typed");
 
+// While the next search is on its way, what the last one found is greyed, and can still be read.
+const held = [];
+const searches = /\/api\/v1\/search\?/;
+await page.route(searches, (route) => held.push(route));
+await box.fill("alps");
+await page.locator("[data-found].old").waitFor();
+await look(page, "search-old");
+for (const route of held) await route.continue();
+await page.unroute(searches);
+await searched("alps");
+await box.fill("alps topic:/imu/* format:mcap");
+await searched("alps topic:/imu/* format:mcap");
+
 await box.press("ArrowDown");
 await page.waitForFunction(() => document.activeElement?.hasAttribute("data-way"));
 await page.keyboard.press("ArrowDown");

@@ -68,7 +68,7 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     assert (seen["before"], seen["after"]) == (200, 401)
     assert sql(house, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
     assert seen["prefilled"] == ["spot", "", ""], "but for the operator and the day, which are others"
-    assert seen["unconfirmed"] == "This value is of an earlier mission: confirm or change it."
+    assert seen["unconfirmed"] == "Confirm this value, or change it."
     assert seen["nameMissing"] == "A mission needs a name."
     assert seen["robotMissing"] == "This is required."
     assert "[a-z]+" in seen["operatorWrong"]

@@ -33,9 +33,14 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
         said.write_text(f"robot: {robot}\ntemperature: {temperature}\n")
         place = ("-p", "Alps", "-m", name, "--create", "--metadata", said)
         terminal.run("upload", *place, f"{tmp_path / name}/")
+    # Two names that are one where `:` may not be in a name.
+    for name in ("a:b.txt", "a_b.txt"):
+        (tmp_path / "hot" / name).write_text("Of the same size.")
+    terminal.run("upload", "-p", "Alps", "-m", "hot", f"{tmp_path / 'hot'}/")
+    share = terminal.run("share", "create", "-p", "Alps", "-m", "hot").out.strip()
     (project,) = terminal.run("project", "list", "--json").json()["items"]
     invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
-    seen = act("lists.mjs", house, invited["url"], project["id"], pictures)
+    seen = act("lists.mjs", house, invited["url"], share, project["id"], pictures)
 
     assert seen["complaints"] == []
     assert seen["axe"] == []
@@ -50,6 +55,8 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
     ]
     assert seen["left"] == ["hot"]
     assert "21 degC" in seen["details"]
+    assert seen["shared"].startswith("2 of 3 files are in the folder. Not: ")
+    assert "another file has the same name on this computer" in seen["shared"]
     assert "You have no access yet" in seen["noAccess"][0]
     assert "grace@example.org" in seen["noAccess"][0]
     missions = terminal.run("mission", "list", "--json").json()["items"]

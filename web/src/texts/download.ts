@@ -17,6 +17,7 @@ export const texts = {
   saved: (written: number, skipped: number) =>
     [`${counted(written, "file")} written`, ...(skipped > 0 ? [`${counted(skipped, "file")} were there already`] : [])].join(", ") + ".",
   failed: (count: number) => `${counted(count, "file")} could not be downloaded:`,
+  stoppedZip: "Stopped. No zip was made.",
   stopped: "Stopped. Choose the same folder to continue.",
   zipName: "kleinkram.zip",
   nothing: "There are no files in it.",

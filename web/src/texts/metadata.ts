@@ -20,7 +20,7 @@ export const texts = {
   carriedFrom: (name: string) => `From ${name}, not confirmed`,
   confirm: "Confirm",
   confirmField: (field: string) => `Confirm the value of ${field}`,
-  unconfirmed: "This value is of an earlier mission: confirm or change it.",
+  unconfirmed: "Confirm this value, or change it.",
   place: { name: "Name of the place", latitude: "Latitude (degrees)", longitude: "Longitude (degrees)", byName: "By name", byDegrees: "By coordinates" },
   further: "Further values",
   furtherHint: "Values that the project does not ask for.",

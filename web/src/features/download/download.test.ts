@@ -88,6 +88,14 @@ describe("a download into a folder", () => {
     expect(await folder.files.get("c.txt")?.text()).toBe("other");
   });
 
+  it("writes no file over another of the same download, and names it", async () => {
+    const folder = new Folder();
+    const { source, targets, progress } = storeOf({ "a_b.txt": text("words"), "A_b.txt": text("other"), "c.txt": text("") });
+    const { written, failures } = await saveToFolder(folder.handle, targets, source, progress);
+    expect([written, failures]).toEqual([2, [{ path: "A_b.txt", reason: reasons.sameName }]]);
+    expect(await folder.files.get("a_b.txt")?.text()).toBe("words");
+  });
+
   it("leaves no file whose bytes are wrong, and asks again where the store stumbles", async () => {
     const folder = new Folder();
     let stumbles = 2;
@@ -108,6 +116,19 @@ describe("a zip", () => {
     expect(zip.size).toBeGreaterThan(LARGE.length);
     const bytes = Buffer.from(await zip.arrayBuffer());
     expect([bytes.includes("a/b.bag"), bytes.includes("words"), bytes.subarray(0, 2).toString()]).toEqual([true, true, "PK"]);
+  });
+
+  it("is not made where two files have one path", async () => {
+    const { source, targets, progress } = storeOf({ "c.txt": text("words") });
+    await expect(zipOf([...targets, ...targets], source, progress)).rejects.toThrow(reasons.sameName);
+  });
+
+  it("that somebody stops has not failed", async () => {
+    const controller = new AbortController();
+    const { source, targets } = storeOf({ "a/b.bag": LARGE });
+    const progress = { signal: controller.signal, onBytes: () => controller.abort() };
+    const stopping: Source = { ...source, fetch: async (input, init) => { init?.signal?.throwIfAborted(); return source.fetch(input, init); } };
+    await expect(zipOf(targets, stopping, progress)).rejects.toThrow(expect.objectContaining({ name: "AbortError" }) as Error);
   });
 
   it("is not made where a file is wrong, and names it", async () => {

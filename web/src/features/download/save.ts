@@ -41,6 +41,7 @@ export interface Progress {
 
 /** What a failed file says; the dialog translates nothing. */
 export const reasons = {
+  sameName: "Another file of this download has the same name on this computer. Use the command instead.",
   inTheWay: "A different file of this name is already there. Move it away, or choose another folder.",
   wrongBytes: "The bytes that came do not match the checksum. Try again.",
   cut: "The store sent fewer bytes than the file has. Try again.",
@@ -148,6 +149,19 @@ async function saveFile(root: FileSystemDirectoryHandle, target: Target, source:
   return "written";
 }
 
+/** Divides targets into those whose path is theirs alone and those that would overwrite an earlier one. */
+function placed(targets: readonly Target[], keyOf: (path: string) => string): { readonly first: readonly Target[]; readonly clashing: readonly Failed[] } {
+  const taken = new Set<string>();
+  const [first, clashing]: [Target[], Failed[]] = [[], []];
+  for (const target of targets) {
+    const path = target.path.join("/");
+    if (taken.has(keyOf(path))) clashing.push({ path, reason: reasons.sameName });
+    else first.push(target);
+    taken.add(keyOf(path));
+  }
+  return { first, clashing };
+}
+
 function isStopped({ signal }: Progress): boolean {
   return signal.aborted;
 }
@@ -155,8 +169,9 @@ function isStopped({ signal }: Progress): boolean {
 /** Writes files below a folder. Files that are there, whole, are not fetched again: the same again resumes. */
 export async function saveToFolder(root: FileSystemDirectoryHandle, targets: readonly Target[], source: Source, progress: Progress): Promise<Saved> {
   const count = { written: 0, skipped: 0 };
-  const failures: Failed[] = [];
-  const waiting = targets.values();
+  const { first, clashing } = placed(targets, (path) => path.normalize().toLowerCase()); // as Windows and macOS compare names
+  const failures: Failed[] = [...clashing];
+  const waiting = first.values();
   async function work(): Promise<void> {
     for (const target of waiting) {
       if (isStopped(progress)) return;
@@ -173,6 +188,8 @@ export async function saveToFolder(root: FileSystemDirectoryHandle, targets: rea
 
 /** Returns files as one zip, uncompressed. One file that fails fails the zip, by name. */
 export async function zipOf(targets: readonly Target[], source: Source, progress: Progress): Promise<Blob> {
+  const [clash] = placed(targets, (path) => path).clashing;
+  if (clash) throw new FileFailed(`${clash.path}: ${clash.reason}`);
   function* inputs() {
     for (const target of targets) {
       const parts = partsOf(target, source, progress);
@@ -183,7 +200,7 @@ export async function zipOf(targets: readonly Target[], source: Source, progress
             if (next.done === true) controller.close();
             else controller.enqueue(next.value);
           } catch (thrown) {
-            controller.error(new FileFailed(`${target.path.join("/")}: ${reasonOf(thrown)}`));
+            controller.error(isStopped(progress) ? thrown : new FileFailed(`${target.path.join("/")}: ${reasonOf(thrown)}`));
           }
         },
       });

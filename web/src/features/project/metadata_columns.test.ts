@@ -28,6 +28,7 @@ it("compares text as text, numbers as numbers, and parts of text", () => {
   expect(comparison(field("temperature", "number"), ">=", "9.5")).toBe("temperature>=9.5");
   expect(comparison(field("site", "string"), "~", "zür")).toBe("site~*zür*");
   expect(operatorsOf("date")[0]).toBe(">=");
+  expect(operatorsOf("location")).toEqual(["~"]);
 });
 
 it("takes no order from the address that the server does not know", () => {

@@ -51,7 +51,7 @@ export function usualFields(fields: readonly MetadataField[]): readonly string[]
 export function operatorsOf(type: MetadataField["type"]): readonly string[] {
   if (type === "number" || type === "date") return type === "date" ? [">=", "<=", "="] : ["=", ">=", "<="];
   if (type === "boolean" || type === "choice") return ["=", "!="];
-  return ["~", "=", "!="];
+  return type === "location" ? ["~"] : ["~", "=", "!="]; // a place is a name and coordinates, and equals no text
 }
 
 /** Returns a comparison as the server reads it: text stays text, also where it looks like a number. */

@@ -31,12 +31,15 @@ export function metricNames(runs: readonly Run[]): readonly string[] {
   return [...counts].sort(([one, ones], [other, others]) => others - ones || one.localeCompare(other)).map(([name]) => name);
 }
 
-const number = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
+const LARGE = 10_000;
+const small = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
+const large = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 
 /** Returns a metric of a run with its unit: that of the whole run, or of its only file; else how many files have it. */
 export function metricText(run: Run, name: string): string {
   const metrics = run.metrics.filter((metric) => metric.name === name);
   const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
   if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
-  return [number.format(metric.value), metric.unit ?? ""].filter((each) => each !== "").join(" ");
+  const format = Math.abs(metric.value) < LARGE ? small : large;
+  return [format.format(metric.value), metric.unit ?? ""].filter((each) => each !== "").join(" ");
 }

@@ -154,7 +154,8 @@ const acts = {
 async function beginAgain() {
   const me = await ask("GET", "/me").catch(() => null);
   if (me === null) return location.replace("/sign-in?" + new URLSearchParams({ return_to: home() }));
-  say(`Prove once more that you are ${me.person.name}. The owner of klein up opens a new link: klein session link.`);
+  const link = me.emails.length === 0 ? " On the machine of klein up, `klein session link` prints a link for that." : "";
+  say(`Sign in once more as ${me.person.name}.${link}`);
   const email = document.querySelector("[name=email]");
   if (email === null) return;
   email.required = false;

@@ -64,6 +64,7 @@ function element(name, text) {
 }
 
 function asText(value) {
+  if (typeof value === "boolean") return value ? "Yes" : "No";
   if (value === null || typeof value !== "object") return String(value);
   if (Array.isArray(value)) return value.map(asText).join(", ");
   return value.name || (typeof value.latitude === "number" ? `${value.latitude}, ${value.longitude}` : JSON.stringify(value));
@@ -74,6 +75,8 @@ function span(nanoseconds) {
   if (hours >= 8766) return `${(hours / 8766).toFixed(1)} years`;
   if (hours >= 100) return `${(hours / 24).toFixed(1)} days`;
   if (hours >= 1) return `${Math.floor(hours)} h ${String(Math.floor((hours % 1) * 60)).padStart(2, "0")} min`;
+  const minutes = Math.floor(hours * 60);
+  if (minutes >= 1) return `${minutes} min ${String(Math.floor((nanoseconds / 1e9) % 60)).padStart(2, "0")} s`;
   return `${(nanoseconds / 1e9).toFixed(1)} s`;
 }
 
@@ -96,7 +99,7 @@ async function showTopics(missionId) {
   box.querySelector("summary").textContent = `${items.length}${next ? " or more" : ""} ${items.length === 1 ? "topic" : "topics"}`;
   for (const topic of items) {
     const line = box.querySelector("tbody").insertRow();
-    for (const text of [topic.name, topic.message_type ?? "", topic.count ?? ""]) line.insertCell().textContent = text;
+    for (const text of [topic.name, topic.message_type ?? "", topic.count?.toLocaleString("en-GB") ?? ""]) line.insertCell().textContent = text;
   }
   box.open = items.length <= OPEN_TOPICS;
   box.hidden = false;
@@ -125,28 +128,45 @@ async function allFiles() {
   return files;
 }
 
-// Writes one file below a folder; says whether it was fetched. A file of that name and size is taken as fetched.
+// The folders and the name of a file as every computer takes them.
+function placeOf(file) {
+  return file.path.split("/").map((part) => part.replaceAll(/[<>:"\\|?*\u0000-\u001f]/g, "_"));
+}
+
+// Writes one file below a folder. A file of that name and size is taken as fetched.
 async function saveFile(root, file) {
-  const parts = file.path.split("/").map((part) => part.replaceAll(/[<>:"\\|?*]/g, "_"));
+  const parts = placeOf(file);
   let folder = root;
   for (const part of parts.slice(0, -1)) folder = await folder.getDirectoryHandle(part, { create: true });
   const handle = await folder.getFileHandle(parts.at(-1), { create: true });
   const there = (await handle.getFile()).size;
   if (there === file.size_bytes) return;
   if (there > 0) throw new Error("another file of this name is in the folder");
-  const { items } = await ask("POST", "/files/download", { file_ids: [file.id] });
-  const answer = await fetch(items[0].url, { credentials: "omit" });
-  if (!answer.ok) throw new Error(`the store answered with ${answer.status}`);
-  await answer.body.pipeTo(await handle.createWritable()); // gets its name when all of it has come
-  if ((await handle.getFile()).size !== file.size_bytes) throw new Error("it did not come whole");
+  try {
+    const { items } = await ask("POST", "/files/download", { file_ids: [file.id] });
+    const answer = await fetch(items[0].url, { credentials: "omit" });
+    if (!answer.ok) throw new Error(`the store answered with ${answer.status}`);
+    await answer.body.pipeTo(await handle.createWritable()); // the file has no bytes until all of them have come
+    if ((await handle.getFile()).size !== file.size_bytes) throw new Error("it did not come whole");
+  } catch (error) {
+    await folder.removeEntry(parts.at(-1)).catch(() => undefined); // a part of a file under its name would pass for it
+    throw error;
+  }
 }
 
 async function saveAll() {
   const root = await window.showDirectoryPicker({ mode: "readwrite" });
   const [progress, failures] = [document.getElementById("progress"), []];
   const files = await allFiles();
+  const taken = new Set();
   for (const [at, file] of files.entries()) {
     progress.textContent = `${at} of ${files.length} files`;
+    const name = placeOf(file).join("/").normalize().toLowerCase(); // as Windows and macOS compare names
+    if (taken.has(name)) {
+      failures.push(`${file.path}: another file has the same name on this computer`);
+      continue;
+    }
+    taken.add(name);
     await saveFile(root, file).catch((error) => failures.push(`${file.path}: ${error.message}`));
   }
   progress.textContent = `${files.length - failures.length} of ${files.length} files are in the folder.${failures.length ? ` Not: ${failures.join("; ")}` : ""}`;
