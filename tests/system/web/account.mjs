@@ -70,7 +70,7 @@ await ada.close();
 
 // A mission, whose form marks what the last one said until it is confirmed, and says beside each field what is wrong with it: by itself,
 // then by the server's word.
-const { page: owner } = await somebody(() => mayRefuse);
+const { page: owner, context: ofOwner } = await somebody(() => mayRefuse);
 await owner.goto(link);
 await owner.waitForURL((url) => url.pathname === "/");
 await owner.goto(`${address}/projects/${project}`);
@@ -108,16 +108,30 @@ await owner.goto(`${address}/admin?tab=jobs`);
 await owner.getByText("ValueError: badly formed").waitFor();
 await look(owner, "admin-jobs-failed");
 
-// Whether the store still has all.
+// Whether the store still has all. The owner of this machine signed in too long ago for it, and does so again by a link.
 await owner.goto(`${address}/admin?tab=scrub`);
+await owner.route("**/admin/scrub", (route) => route.request().method() === "POST"
+  ? route.fulfill({ status: 403, json: { type: "about:blank", title: "Too long ago", status: 403, code: "sign_in_too_old" } })
+  : route.fallback());
 const scrub = owner.locator("[data-scrub]");
 const told = (method, holds) => owner.waitForResponse(async (answer) =>
-  answer.url().endsWith("/admin/scrub") && answer.request().method() === method && holds(await answer.json()));
+  answer.url().endsWith("/admin/scrub") && answer.ok() && answer.request().method() === method && holds(await answer.json()));
 let asked = "";
 const begun = told("POST", ({ id }) => (asked = id) !== "");
 const ended = told("GET", ({ last }) => last?.id === asked && last.ended_at !== null);
+mayRefuse = true;
 await scrub.getByRole("button", { name: "Scrub now" }).click();
+await owner.getByRole("dialog").getByText("Sign in again for this").waitFor();
+await look(owner, "sign-in-again");
+mayRefuse = false;
+await owner.unroute("**/admin/scrub");
+const { url: another } = await owner.evaluate(async () => (await fetch("/api/v1/auth/owner-link", { method: "POST" })).json());
+const window = await ofOwner.newPage();
+await window.goto(another);
+await window.waitForURL((url) => url.pathname === "/");
 await Promise.all([begun, ended]);
+await owner.getByRole("dialog").waitFor({ state: "detached" });
+await window.close();
 await scrub.getByText("Done", { exact: true }).waitFor();
 seen.scrub = await scrub.innerText();
 await look(owner, "admin-scrub");

@@ -162,6 +162,13 @@ async function beginAgain() {
   email.closest("label").hidden = true;
 }
 
+/** Tells windows of the app that wait for somebody to sign in again; a link does not lead back to them. */
+function tellOtherWindows() {
+  const channel = new BroadcastChannel("kleinkram.session");
+  channel.postMessage("signed-in");
+  channel.close();
+}
+
 const begin = {
   "sign-in": async () => {
     if (isAgain) await beginAgain();
@@ -171,6 +178,7 @@ const begin = {
     history.replaceState(null, "", location.pathname);
     document.getElementById("doing").hidden = true;
     await ask("POST", "/auth/link", { code });
+    tellOtherWindows();
     location.replace(home());
   },
   invitation: async () => {
