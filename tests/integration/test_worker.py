@@ -171,3 +171,4 @@ def test_a_job_that_a_restart_cut_short_is_done_again(database: _Cluster, store:
         blocker.close()
         wait_until(lambda: _is_done(database, job_id), limit_s=240)
         assert worker.process.poll() is None
+        assert database.sql("SELECT count(*) FROM procrastinate_jobs WHERE status = 'failed'") == "0"

@@ -161,16 +161,25 @@ async def _schema(settings: Settings, database: Database) -> AsyncIterator[Findi
         return
     yield _ok("schema", "This program works on it.")
     rights = await _ask(_Rights, settings.database_url, _ABOUT_RIGHTS)
-    yield _judged(
-        "rights of the serving role",
-        rights.writes and rights.records and not rights.alters,
-        "It reads and writes, and adds to the audit record." if rights.writes else "It may not write.",
-        "Rights are granted by migrations: REVOKE what was granted by hand, and migrate again.",
-    )
+    yield _rights_of_role(rights)
     if workers.warning:
         yield _warning("workers", f"{workers.warning}.", "")
     else:
         yield _ok("workers", f"{len(workers.seen_at)} alive.")
+
+
+def _rights_of_role(rights: "_Rights") -> Finding:
+    check = "rights of the serving role"
+    if rights.alters:
+        return _problem(check, "It may alter the audit record.", "REVOKE UPDATE and DELETE on audit_event from it.")
+    if not (rights.writes and rights.records):
+        missing = "add to the audit record" if rights.writes else "read and write all tables"
+        return _problem(
+            check,
+            f"It may not {missing}.",
+            "Migrations grant that: GRANT again what was revoked by hand (see docs/running.md).",
+        )
+    return _ok(check, "It reads and writes, and adds to the audit record.")
 
 
 async def _migrating_role(settings: Settings) -> AsyncIterator[Finding]:
@@ -329,11 +338,16 @@ def _machine(settings: Settings | None) -> Iterator[Finding]:
             continue
         level = Level.ok if free >= _LOW_BYTES else Level.warning
         yield Finding(check, level, f"{free / 1e9:.1f} GB free in {folder}.", "" if level is Level.ok else "Free some.")
-    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
     enough = files == resource.RLIM_INFINITY or files >= _FEW_FILES
     level = Level.ok if enough else Level.warning
-    remedy = "" if enough else f"Raise the limit to {_FEW_FILES} (`ulimit -n`, or LimitNOFILE= of a unit)."
-    yield Finding("open files", level, f"A process may have {files} at a time.", remedy)
+    remedy = "" if enough else f"Raise the hard limit to {_FEW_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
+    yield Finding(
+        "open files",
+        level,
+        f"The API may have {'any number' if files == resource.RLIM_INFINITY else files} at a time.",
+        remedy,
+    )
 
 
 @dataclass(frozen=True)
@@ -370,7 +384,8 @@ SELECT current_setting('server_version') AS version, current_setting('server_ver
   has_schema_privilege('public', 'CREATE') AS can_create
 """
 _ABOUT_RIGHTS = """
-SELECT has_table_privilege('mission', 'SELECT, INSERT') AND has_table_privilege('mission', 'UPDATE') AS writes,
+SELECT has_table_privilege('mission', 'SELECT') AND has_table_privilege('mission', 'INSERT')
+    AND has_table_privilege('mission', 'UPDATE') AS writes,
   has_table_privilege('audit_event', 'INSERT') AS records,
   has_table_privilege('audit_event', 'UPDATE') OR has_table_privilege('audit_event', 'DELETE') AS alters
 """

@@ -79,16 +79,20 @@ def secret_from_file(variable: str) -> str | None:
     Raises:
         SettingsInvalid: the file cannot be read or is empty, or the variable itself is set, too.
     """
-    path = os.environ.get(variable + _FILE)
+    # As pydantic-settings reads the others: in capital or small letters.
+    environment = {name.upper(): value for name, value in os.environ.items()}
+    path = environment.get(variable + _FILE)
     if path is None:
         return None
-    if variable in os.environ:
+    if variable in environment:
         raise SettingsInvalid(f"{variable} and {variable}{_FILE} are both set: set one of them.")
     try:
         text = Path(path).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise SettingsInvalid(f"{variable}{_FILE}: {path} cannot be read ({why}).") from None
+        # What is no absolute path may be the secret itself, by mistake: it is not shown.
+        shown = path if path.startswith("/") else "what it names (not an absolute path)"
+        raise SettingsInvalid(f"{variable}{_FILE}: {shown} cannot be read ({why}).") from None
     if not text:
         raise SettingsInvalid(f"{variable}{_FILE}: {path} is empty.")
     return text

@@ -14,6 +14,7 @@ import psycopg
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, Metric
 from psycopg.conninfo import make_conninfo
+from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server import measures
@@ -52,13 +53,13 @@ class _SiteGauges:
         self._releasing: asyncio.Task[None] | None = None
 
     async def look(self) -> list[Metric]:
-        """Return the gauges; none where another process reports them, or the database does not answer."""
+        """Return the gauges; none where another process reports them, or the database does not give them."""
         async with self._turn:
             try:
                 if not await self._is_reporter():
                     return []
                 return await self._recent.get()
-            except (psycopg.Error, DatabaseUnavailable) as error:
+            except (psycopg.Error, DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is another
                 _log.warning("no metrics of the site", extra={"fields": {"reason": type(error).__name__}})
                 await self.close()
                 return []

@@ -213,8 +213,8 @@ class Settings(BaseSettings):
     fresh_sign_in_s: Annotated[
         Seconds,
         Field(
-            description="How long after signing in one may change passwords, second factors and ways to sign in, and "
-            "make tokens with the scope admin, before one is asked to sign in again."
+            description="How long after signing in one may change passwords, second factors and ways to sign in "
+            "(admins also those of others), and make tokens with the scope admin, before one is asked to sign in again."
         ),
     ] = 900
     owner_link_s: Annotated[

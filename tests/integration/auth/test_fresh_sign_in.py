@@ -4,7 +4,8 @@ import pytest
 
 from kleinkram.contract.rights import Scope
 from tests.integration import people
-from tests.integration.auth.accounts import PASSWORD, Account, account
+from tests.integration.auth.accounts import PASSWORD, Account, account, code_of
+from tests.integration.auth.browser import Browser
 from tests.integration.running import Api
 
 _NEW = "another good password"
@@ -52,6 +53,23 @@ def test_a_password_is_changed_only_after_signing_in_again(api: Api, ada: Accoun
     ada.browser.post("/auth/password/again", {"password": PASSWORD}).ok(204)
     ada.browser.post("/auth/password/change", change).ok(204)
     assert "session.renew" in [event["operation"] for event in api.get("/audit", {"person_id": ada.id}).ok()["items"]]
+
+
+def test_an_admins_old_sign_in_resets_nobodys_password_or_second_factor(api: Api, ada: Account) -> None:
+    api.post(f"/people/{ada.id}/admin").ok()
+    _age(api, ada)
+    for method, path in (("POST", "reset"), ("DELETE", "totp")):
+        ada.browser.call(method, f"/api/v1/people/{ada.id}/{path}", None).refused(403, "sign_in_too_old")
+    ada.browser.post("/auth/password/again", {"password": PASSWORD}).ok(204)
+    ada.browser.post(f"/people/{ada.id}/reset").ok(201)
+
+
+def test_an_old_session_of_the_owner_of_klein_up_makes_no_link_that_signs_in(api: Api) -> None:
+    browser = Browser(api)
+    browser.post("/auth/link", {"code": code_of(api.post("/auth/owner-link").ok()["url"])}).ok()
+    api.sql("UPDATE session SET authenticated_at = now() - interval '16 minutes'")
+    browser.post("/auth/owner-link").refused(403, "sign_in_too_old")
+    api.post("/auth/owner-link").ok()
 
 
 def test_other_tokens_are_made_without_it(api: Api, ada: Account) -> None:

@@ -109,3 +109,18 @@ def test_how_a_request_came_in_is_told_to_who_has_the_settings_alone(api: Api) -
     assert urllib3.request("GET", url, headers={HEADER: "guess"}).data == b"live\n"
     told = urllib3.request("GET", url, headers={HEADER: proof(api.app.state.settings)}).json()
     assert (told["peer"], told["forwarded"]) == ("127.0.0.1", False)
+
+
+def test_rights_that_the_serving_role_lacks_or_has_beyond_need_are_named(start_api: StartApi) -> None:
+    api = start_api()
+    environment, role = _environment(api), api.app.state.settings.serving_role
+    for change, undo, words in (
+        (f"REVOKE INSERT ON mission FROM {role}", f"GRANT INSERT ON mission TO {role}", "may not read and write"),
+        (f"REVOKE INSERT ON audit_event FROM {role}", f"GRANT INSERT ON audit_event TO {role}", "may not add to the"),
+        (f"GRANT UPDATE ON audit_event TO {role}", f"REVOKE UPDATE ON audit_event FROM {role}", "may alter the audit"),
+    ):
+        api.sql(change)
+        code, found = _check(environment)
+        assert (code, found["rights of the serving role"]["level"]) == (1, "problem"), change
+        assert words in found["rights of the serving role"]["message"]
+        api.sql(undo)

@@ -67,3 +67,13 @@ def test_workers_are_processes_that_are_alive(start_api: StartApi) -> None:
     told = api.get("/admin/health").ok()
     assert told["workers_at"] == []
     assert "no worker process was heard of for 7 min" in told["warnings"][0]
+
+
+def test_a_process_s_own_metrics_come_where_the_site_s_cannot_be_read(start_api: StartApi) -> None:
+    api = start_api()
+    api.sql("ALTER TABLE worker_process RENAME TO worker_process_of_another_schema")
+    text = api.metrics()
+    assert _values(text, "kleinkram_build_info")
+    assert not _values(text, "kleinkram_blobs")
+    api.sql("ALTER TABLE worker_process_of_another_schema RENAME TO worker_process")
+    assert _values(api.metrics(), "kleinkram_workers")

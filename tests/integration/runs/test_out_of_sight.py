@@ -120,3 +120,18 @@ def test_owners_of_both_places_see_both(world: World, lab: Api) -> None:
     assert [each["path"] for each in reader["files"]] == ["renamed-zanzibar.bin"]
     (metric,) = lab.get("/run-metrics", {"run_id": world.run_id}).ok()["items"]
     assert metric["metric"]["file"] == "wexford-input.bin"
+
+
+def test_an_input_in_the_trash_of_its_own_mission_is_still_named(world: World, lab: Api, runner: Played) -> None:
+    # Another mission with a run: where a file lies is compared with the mission of its own run, not of any.
+    mission = lab.mission(lab.project()["id"])
+    kept = upload(lab, mission["id"], "trashed.bin", b"an input that goes to the trash")
+    launch(lab, runner, mission, right="READ")
+    claim = runner.claim()
+    finding = {"file": "trashed.bin", "message": "odd", "code": "odd", "severity": "warning"}
+    metric = {"name": "rate", "value": 1, "unit": None, "file": "trashed.bin"}
+    runner.finish(claim, report={"findings": [finding], "metrics": [metric]}).ok()
+    lab.delete(f"/files/{kept['id']}").ok()
+    (told,) = lab.get("/findings", {"run_id": claim["run_id"]}).ok()["items"]
+    assert told["finding"]["file"] == "trashed.bin"
+    assert [each["file"] for each in lab.get(f"/runs/{claim['run_id']}").ok()["metrics"]] == ["trashed.bin"]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.integration.running import Api
-from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.runs.conftest import Place, Played, definition, launch
 
 
 def _token(lab: Api, **wanted: Any) -> Any:
@@ -65,9 +65,10 @@ def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place
     elsewhere = lab.project()
     runner = _runner(lab, _token(lab, project_ids=[elsewhere["id"]]))
     runner.hello()
-    (refused,) = lab.post("/runs", _run(place, runner.labels)).ok()["items"]
-    assert refused["outcome"] == "refused"
-    assert "limited to other projects" in refused["problem"]["detail"]
+    wanted = {"mission_ids": [place.mission["id"]], "definition": definition(runner), "force": True}
+    (refused,) = lab.post("/runs", wanted).ok()["items"]
+    assert refused["problem"]["code"] == "no_runner"
+    assert f"{_hello(runner)['name']}: its token is limited to other projects" in refused["problem"]["detail"]
     allowed = _runner(lab, _token(lab, project_ids=[place.project["id"]]), labels=runner.labels)
     allowed.hello()
     made = launch(lab, runner, place.mission)
@@ -107,6 +108,16 @@ def test_a_runner_from_before_keeps_its_runs_and_its_token(lab: Api, runner: Pla
     claim = runner.claim()
     lab.sql("UPDATE token SET runner_id = NULL WHERE runner_id = %s", uuid.UUID(runner.id))
     assert runner.beat(claim) == "go_on"
+    runner.finish(claim).ok()
+
+
+def test_a_runner_from_before_may_say_how_its_run_ended_before_it_beats(lab: Api, runner: Played, place: Place) -> None:
+    launch(lab, runner, place.mission)
+    claim = runner.claim()
+    fresh = lab.as_(_token(lab)["secret"])
+    context, attempt = f"/runner/runs/{claim['run_id']}/context", {"attempt": str(claim["attempt"])}
+    fresh.get(context, attempt).refused(409, "run_gone")
+    lab.sql("UPDATE token SET runner_id = NULL WHERE runner_id = %s", uuid.UUID(runner.id))
     runner.finish(claim).ok()
 
 

@@ -114,3 +114,19 @@ def test_a_secret_s_file_is_there_and_the_only_source(monkeypatch: pytest.Monkey
     assert "cannot be read (No such file or directory)" in _refusal()
     monkeypatch.setenv("KLEINKRAM_TRASH_DAYS_FILE", str(empty))
     assert "KLEINKRAM_TRASH_DAYS_FILE is not a setting" in _refusal(), "only secrets come from files"
+
+
+def test_a_secret_that_stands_where_its_file_should_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
+    monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", "hunter22")
+    assert "KLEINKRAM_S3_SECRET_KEY_FILE: what it names (not an absolute path) cannot be read" in _refusal()
+    assert "hunter22" not in _refusal()
+
+
+def test_the_name_of_a_secret_s_file_may_be_in_small_letters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("of a file")
+    monkeypatch.setenv("kleinkram_s3_secret_key_file", str(secret))
+    assert "are both set" in _refusal()
+    monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
+    assert load_settings().s3_secret_key.get_secret_value() == "of a file"

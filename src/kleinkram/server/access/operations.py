@@ -199,7 +199,7 @@ OPERATIONS: dict[str, Need] = {
     "get_account": Need(On.nothing, None, _ADMIN, boundless=True),
     "list_identities": Need(On.nothing, None, _ADMIN, boundless=True),
     "unlink_identity": Need(On.nothing, None, _ADMIN, boundless=True, fresh=True),
-    "create_owner_link": Need(On.server, None, _ADMIN),
+    "create_owner_link": Need(On.server, None, _ADMIN, fresh=True),
     "change_password": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     "link_provider": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     "approve_cli_login": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
@@ -214,8 +214,9 @@ OPERATIONS: dict[str, Need] = {
     "renew_recovery_codes": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
     # Accounts
     "invite_person": Need(On.server, None, _ADMIN),
-    "create_reset_link": Need(On.server, None, _ADMIN),
-    "reset_totp": Need(On.server, None, _ADMIN),
+    # With these, whoever sits at an admin's open browser would take over the account of that admin, or another.
+    "create_reset_link": Need(On.server, None, _ADMIN, fresh=True),
+    "reset_totp": Need(On.server, None, _ADMIN, fresh=True),
     # The record and the service
     "list_audit_events": Need(On.project, Right.delete, _READ),
     "export_audit_events": Need(On.project, Right.delete, _READ),

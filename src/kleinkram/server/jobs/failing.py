@@ -12,7 +12,7 @@ from procrastinate.worker import Worker
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
-from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.errors import DatabaseUnavailable, KleinkramError
 from kleinkram.server import measures
 from kleinkram.server.jobs.context import site_of
 from kleinkram.server.site import Site
@@ -47,13 +47,17 @@ async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext,
         return answer
     except Exception as error:
         retry = context.task.get_retry_exception(error, job)
-        outcome = "given_up" if retry is None else "failed"
+        # A periodic job's next round comes by itself: what the database's absence ended is no failure to look into.
+        has_next_round = isinstance(error, DatabaseUnavailable) and context.task.queueing_lock is not None
+        outcome = "given_up" if retry is None and not has_next_round else "failed"
         sentence = sentence_of(error)
         next_at = retry.retry_decision.retry_at if retry is not None else None
         fields = {"job": job.task_name, "id": job.id, "ref": job.task_kwargs.get("ref"), "attempt": job.attempts + 1}
         _log.warning(
             f"job failed: {sentence}", extra={"fields": {**fields, "outcome": outcome, "next_attempt_at": next_at}}
         )
+        if has_next_round:
+            return None
         if job.id is not None:
             await _keep(site_of(context), job.id, sentence)
         raise

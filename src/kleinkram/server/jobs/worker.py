@@ -20,7 +20,7 @@ from procrastinate.jobs import Status
 import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
-from kleinkram.server.db import open_database
+from kleinkram.server.db import Database, open_database
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import Attempts, keep_why
 from kleinkram.server.jobs.heartbeat import heartbeat
@@ -98,8 +98,15 @@ class _Pauses:
 
 
 async def _run(app: App, settings: Settings) -> None:
-    is_over = asyncio.Event()
     database = open_database(settings, statement_timeout_s=None)
+    try:
+        await _run_lanes(app, settings, database)
+    finally:
+        await database.close()
+
+
+async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
+    is_over = asyncio.Event()
     async with (
         open_storage(settings) as storage,
         Readers() as readers,
@@ -136,7 +143,6 @@ async def _run(app: App, settings: Settings) -> None:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-    await database.close()
 
 
 async def _keep_working(app: App, given: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int) -> None:

@@ -4,11 +4,11 @@ import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, func, literal, or_, select
+from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, exists, func, literal, or_, select
 
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, RunnerRead, RunnerToken
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
 from kleinkram.server.pages import Order
 from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts, with_limits
@@ -123,4 +123,9 @@ def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
 
 
 def _is_of(actor: Actor) -> ColumnElement[bool]:
-    return run.c.runner_id == actor.runner_id
+    if actor.runner_id is not None:
+        return run.c.runner_id == actor.runner_id
+    # A runner from before tokens were bound, until it beats or asks for a run: then its token is bound to it.
+    good = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at)
+    has_token = exists().where(token.c.runner_id == runner.c.id, good)
+    return run.c.runner_id.in_(select(runner.c.id).where(runner.c.person_id == actor.person_id, ~has_token))

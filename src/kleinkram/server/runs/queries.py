@@ -190,7 +190,8 @@ def inputs_of(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
 def is_hidden(actor: Actor, file_id: Column[Any]) -> ColumnElement[bool]:
     """Say of a file of a `run` that is joined whether it is in another mission now, and out of `actor`'s sight."""
     moved = exists().where(_file.c.id == file_id, _file.c.mission_id != run.c.mission_id)
-    return moved & ~_is_visible(actor, file_id)
+    # Said outright: inside of another EXISTS, SQLAlchemy would take `run` for any run.
+    return moved.correlate(file_id.table, run) & ~_is_visible(actor, file_id)
 
 
 def _is_visible(actor: Actor, file_id: Column[Any]) -> ColumnElement[bool]:
@@ -251,7 +252,8 @@ def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
     )
     order = (run_metric.c.file.is_not(None), run_metric.c.id)
     place = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("place")
-    ranked = select(run_metric, place).where(among(run_metric.c.run_id, run_ids), ~hidden_input).subquery()
+    stmt = select(run_metric, place).join(run, run.c.id == run_metric.c.run_id)
+    ranked = stmt.where(among(run_metric.c.run_id, run_ids), ~hidden_input).subquery()
     return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
 
 
