@@ -127,6 +127,19 @@ def test_failures_are_json_where_json_is_asked_for(klein: Klein, projects: tuple
     assert json.loads(away.stderr)["error"]["code"] == "server_unreachable"
 
 
+def test_failures_of_commands_without_a_server_are_json_too(klein: Klein, tmp_path: Path) -> None:
+    nowhere = ("--data-dir", tmp_path / "none", "--json")
+    commands = {
+        ("down", *nowhere): ("not_running", 1),
+        ("backup", "create", tmp_path / "backups", *nowhere): ("not_running", 1),
+        ("backup", "verify", tmp_path / "backups", "--json"): ("nothing_there", 3),
+    }
+    for words, (code, exit_code) in commands.items():
+        error = json.loads(klein(*words, code=exit_code).stderr)["error"]
+        assert (error["code"], error["exit_code"]) == (code, exit_code)
+        assert error["message"]
+
+
 def test_tables_fit_the_terminal_and_ids_are_shown_when_asked_for(klein: Klein, projects: tuple[str, str]) -> None:
     for command in (("project", "list"), ("mission", "list"), ("file", "list"), ("search",), ("audit",), ("stats",)):
         shown = klein(*command, COLUMNS="80").stdout
