@@ -89,6 +89,15 @@ def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
         assert window.limit_bytes >= _CONNECTIONS * 10_000
 
 
+def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    for _ in range(_CONNECTIONS):
+        window.arrived(8 * PART, 0.5)
+    assert window.limit_bytes >= _CONNECTIONS * 7 * PART
+    window.arrived(1000, 0.05)
+    assert window.limit_bytes >= _CONNECTIONS * 7 * PART
+
+
 def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     window.arrived(100 * PART, 10.0)

@@ -61,11 +61,14 @@ class Window:
             self.limit_bytes = max(MIN_PART_BYTES, self.limit_bytes // 2)
             self._calm_since = self._clock()
         elif took_s <= (QUICK_AFTER_LOSS_S if self._has_lost else QUICK_S):
-            self.limit_bytes += size_bytes
+            self._grow(size_bytes, unit_bytes)
         elif is_calm:
-            self.limit_bytes += size_bytes
+            self._grow(size_bytes, unit_bytes)
             self._calm_since = self._clock()
-        self.limit_bytes = min(self.limit_bytes, self._connections * unit_bytes)
+
+    def _grow(self, size_bytes: int, unit_bytes: int) -> None:
+        most_bytes = self._connections * unit_bytes
+        self.limit_bytes = max(self.limit_bytes, min(self.limit_bytes + size_bytes, most_bytes))
 
     def lost(self) -> None:
         """Take note of a connection that broke, or of a store that asks for less."""
