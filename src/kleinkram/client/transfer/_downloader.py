@@ -111,6 +111,9 @@ class Downloader:
             with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 self._hand_out(targets)
                 self._under_way.wait_until_free()
+        except KleinkramError as error:
+            self._link.explain(error, self._server)
+            raise
         finally:
             self._stop.now()
             for thread in threads:

@@ -122,6 +122,9 @@ class Uploader:
                     self._announce(batch)
                 self._settle_leased()
                 self._pipeline.drain()
+        except KleinkramError as error:
+            self._link.explain(error, self._server)
+            raise
         finally:
             self._pipeline.close()
             self._journals.close()
