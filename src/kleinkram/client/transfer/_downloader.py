@@ -107,13 +107,13 @@ class Downloader:
         threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections + 1)]
         for thread in threads:
             thread.start()
+        failure: BaseException | None = None
         try:
             with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 self._hand_out(targets)
                 self._under_way.wait_until_free()
         except KleinkramError as error:
-            self._link.explain(error, self._server)
-            raise
+            failure = error
         finally:
             self._stop.now()
             for thread in threads:
@@ -121,9 +121,10 @@ class Downloader:
             for fetching in self._open.values():
                 fetching.close()
             self._store.close()
-        if self._stop.failure is not None:
-            self._link.explain(self._stop.failure, self._server)
-            raise self._stop.failure
+        failure = failure or self._stop.failure
+        if failure is not None:
+            self._link.explain(failure, self._server)
+            raise failure
         return self._link.report()
 
     def _ask_links(self, file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
