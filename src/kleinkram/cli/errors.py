@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import typer
+from pydantic import ValidationError
 
 from kleinkram.cli.commands import ClickException, wants_json
 from kleinkram.cli.render import escape, note, plain
@@ -12,6 +13,7 @@ from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
 from kleinkram.contract import errors as remote
 from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.wording import in_plain_words
 from kleinkram.failures import code_of, failure_line
 from kleinkram.recordings.errors import RecordingError
 
@@ -149,6 +151,8 @@ def explain(error: Exception) -> int | None:
 
 
 def _explain_usage(error: Any) -> int:  # Any: the exception of whichever click Typer uses
+    if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
+        error.message = in_plain_words(error.__cause__)
     if wants_json():
         return fail("usage", error.format_message(), error.exit_code)
     error.show()
