@@ -64,6 +64,8 @@ def test_several_projects_and_missions_are_selected_everywhere(klein: Klein, pro
     assert len(_items(klein("file", "list", *both, "--json"))) == 3
     assert len(_items(klein("search", *both, "-m", "day", "--json"))) == 2
     assert len(_items(klein("file", "list", "-p", north, "-m", "day", "-m", "night", "--json"))) == 2
+    assert len(_items(klein("mission", "list", "-m", f"{north}/day", "-m", f"{south}/day", "--json"))) == 2
+    assert _items(klein("run", "list", *both, "-m", "day", "--json")) == [], "a name stands for one mission in each"
     assert json.loads(klein("stats", *both, "--json").stdout)["total"]["files"] == 3
     dry = klein("download", "-p", north, "-m", "day", "-m", "night", "--nested", "--dry-run", "--json")
     assert len(_items(dry)) == 2
@@ -118,13 +120,30 @@ def test_failures_are_json_where_json_is_asked_for(klein: Klein, projects: tuple
         (("projct", "list"), 2, "usage"),
         (("upload", "/no/such/path", "-p", projects[0], "-m", "day"), 2, "invalid_input"),
         (("stats", "--by", "weahter"), 2, "invalid_query"),
+        (("mission", "list", "--limit", "0"), 2, "usage"),
+        (("mission", "list", "--sort", "nope"), 2, "usage"),
     ):
         done = klein(*arguments, "--json", code=code)
         error = json.loads(done.stderr)["error"]
         assert (done.stdout, error["code"], error["exit_code"]) == ("", word, code)
         assert error["message"]
+        assert "Input should be" not in error["message"]
+        assert "Value error" not in error["message"]
     away = klein("project", "list", "--json", code=7, KLEINKRAM_URL="http://127.0.0.1:9")
     assert json.loads(away.stderr)["error"]["code"] == "server_unreachable"
+
+
+def test_failures_of_commands_without_a_server_are_json_too(klein: Klein, tmp_path: Path) -> None:
+    nowhere = ("--data-dir", tmp_path / "none", "--json")
+    commands = {
+        ("down", *nowhere): ("not_running", 1),
+        ("backup", "create", tmp_path / "backups", *nowhere): ("not_running", 1),
+        ("backup", "verify", tmp_path / "backups", "--json"): ("nothing_there", 3),
+    }
+    for words, (code, exit_code) in commands.items():
+        error = json.loads(klein(*words, code=exit_code).stderr)["error"]
+        assert (error["code"], error["exit_code"]) == (code, exit_code)
+        assert error["message"]
 
 
 def test_tables_fit_the_terminal_and_ids_are_shown_when_asked_for(klein: Klein, projects: tuple[str, str]) -> None:

@@ -88,6 +88,54 @@ def test_names_are_taken_wherever_ids_are(client: Client, place: tuple[str, str]
         client.missions.update(f"{project}/none", notes="")
 
 
+def test_a_mission_with_its_project_is_one_name_in_filters_too(client: Client, place: tuple[str, str]) -> None:
+    project, mission = place
+    other = client.projects.create(f"sdk-{uuid.uuid4().hex[:8]}").name
+    client.missions.create(mission, project=other)
+    assert client.files.count(mission=f"{project}/{mission}") == 1
+    assert client.files.count(mission=f"{other}/{mission}") == 0
+    assert client.runs.count(project=project, mission=mission) == 0, "which of the two is meant is known"
+    assert client.runs.count(mission=f"{project}/{mission}") == 0
+    with pytest.raises(InvalidInput, match="by project="):
+        client.files.list(mission=[f"{project}/{mission}", f"{other}/{mission}"])
+
+
+def test_an_empty_choice_is_not_everything(client: Client, place: tuple[str, str], tmp_path: Path) -> None:
+    asked: list[Callable[[], object]] = [
+        lambda: client.files.list(project=[]),
+        lambda: client.missions.list(topic=[]),
+        lambda: client.runs.list(mission=[]),
+        lambda: client.download(dest=tmp_path, mission=[]),
+    ]
+    for ask in asked:
+        with pytest.raises(InvalidInput, match="it names none"):
+            ask()
+
+
+def test_what_is_downloaded_is_said_by_ids_nouns_or_a_list(
+    client: Client, place: tuple[str, str], tmp_path: Path
+) -> None:
+    (file,) = client.files.list(project=place[0])
+    several = client.files.list(project=place[0])
+    for what in (file, file.id, str(file.id), [file.id], several, client.missions.list(project=place[0])):
+        (result,) = client.download(what, tmp_path).results
+        assert result.file_id == file.id
+    not_a_file: Any = 5
+    with pytest.raises(InvalidInput):
+        client.download(not_a_file, tmp_path)
+
+
+def test_one_glob_may_be_excluded_and_limits_must_let_something_through(
+    client: Client, place: tuple[str, str], drive: Path, tmp_path: Path
+) -> None:
+    where = "/".join(place)
+    assert [each.path for each in client.upload(drive, where, exclude="*.txt").results] == ["drive/drive.mcap"]
+    with pytest.raises(InvalidInput, match="at least 1"):
+        client.upload(drive, where, connections=0)
+    with pytest.raises(InvalidInput, match="above zero"):
+        client.download(client.missions.get(where), tmp_path, bytes_per_s=0)
+
+
 def test_groups_people_links_and_tokens_go_by_name_as_well(client: Client, place: tuple[str, str]) -> None:
     project, mission = place
     me, name = client.me.get(), uuid.uuid4().hex[:8]

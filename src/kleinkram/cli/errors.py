@@ -1,12 +1,11 @@
 """From failure to exit code: the one table. Scripts rely on these numbers; add, never change."""
 
 import enum
-import json
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import typer
+from pydantic import ValidationError
 
 from kleinkram.cli.commands import ClickException, wants_json
 from kleinkram.cli.render import escape, note, plain
@@ -14,6 +13,8 @@ from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
 from kleinkram.contract import errors as remote
 from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.wording import in_plain_words
+from kleinkram.failures import code_of, failure_line
 from kleinkram.recordings.errors import RecordingError
 
 
@@ -150,6 +151,8 @@ def explain(error: Exception) -> int | None:
 
 
 def _explain_usage(error: Any) -> int:  # Any: the exception of whichever click Typer uses
+    if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
+        error.message = in_plain_words(error.__cause__)
     if wants_json():
         return fail("usage", error.format_message(), error.exit_code)
     error.show()
@@ -158,19 +161,17 @@ def _explain_usage(error: Any) -> int:  # Any: the exception of whichever click 
 
 def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:
     """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
-    if not wants_json():
-        note(f"Error: {message}")
-        return exit_code
     known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
-    told = {**known, "code": code, "message": message, "exit_code": int(exit_code)}
-    typer.echo(json.dumps({"error": told}, default=str), err=True)
+    as_json = wants_json()
+    told = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
+    typer.echo(told if as_json else escape(told), err=True)  # JSON has escapes of its own
     return exit_code
 
 
 def _code_of(error: Exception) -> str:
     """Return the code of the contract; for failures of this machine, the name of the class written likewise."""
     code = getattr(type(error), "code", None)
-    return str(code.value) if code else re.sub("(?<!^)(?=[A-Z])", "_", type(error).__name__).lower()
+    return str(code.value) if code else code_of(error)
 
 
 def sentences(error: KleinkramError) -> list[str]:

@@ -12,8 +12,7 @@ from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
 from kleinkram.client.checking import checked
-from kleinkram.client.missions import mission_label
-from kleinkram.client.references import is_glob, the_one
+from kleinkram.client.references import is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
@@ -167,7 +166,7 @@ def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[st
 
     Raises:
         NotFound: a name or glob means none.
-        AmbiguousName: a mission's name means several; globs may.
+        AmbiguousName: no project was named, and several have a mission of that name.
     """
     if missions:
         found = [mission.id for ref in missions for mission in find_missions(client, ref, projects)]
@@ -179,20 +178,20 @@ def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[st
 
 
 def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> list[MissionRead]:
-    """Return the mission of this id or name, or all whose names match a glob, in any of the projects.
+    """Return the missions of this id or name, or whose names match a glob, in each of the projects.
 
     Raises:
         NotFound: there is none.
-        AmbiguousName: a name means several.
+        AmbiguousName: no project was named, and several have a mission of that name.
     """
     is_in_one = not projects or (len(projects) == 1 and not is_glob(projects[0]))
     if (is_id(ref) or is_in_one) and not is_glob(ref):
         return [client.missions.get(ref, project=projects[0] if projects else None)]
     within = checked(MissionFilter, "The filter", name=ref, **projects_of(client, projects))
-    found = [*client.missions.list(within)]
-    if is_glob(ref) and found:
-        return found
-    return [the_one("mission", ref, found, name=lambda row: row.name, label=mission_label)]
+    found = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
+    if not found:
+        raise NotFound(noun="mission", ref=ref)
+    return found
 
 
 def _projects(client: Client, ref: str) -> list[ProjectRead]:

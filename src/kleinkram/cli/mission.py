@@ -7,7 +7,7 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_mission
+from kleinkram.cli.completion import complete_mission, complete_project
 from kleinkram.cli.filters import Many, projects_of
 from kleinkram.cli.mission_view import show_changes, show_contents, show_mission, show_missions
 from kleinkram.cli.options import (
@@ -79,11 +79,11 @@ def list_(
     as_json: AsJson = False,
 ) -> None:
     """List missions."""
-    refs = [*(names or []), *(mission or [])]
-    named = {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
-    given: dict[str, object] = {**named, "text": text, "where": where, "topic": topic}
+    given: dict[str, object] = {"text": text, "where": where, "topic": topic}
     given["satisfied"] = False if unsatisfied else None
     with connect() as client:
+        refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
+        given |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
         given |= projects_of(client, project)
         matching = checked(MissionFilter, "The filter", **{key: value for key, value in given.items() if value})
         matching = matching.model_copy(update={"satisfied": False}) if unsatisfied else matching
@@ -158,7 +158,9 @@ def complete(
 
 @app.command("template")
 def template(
-    name: Annotated[str | None, typer.Argument(metavar="PROJECT", show_default=False)] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="PROJECT", show_default=False, autocompletion=complete_project)
+    ] = None,
     project: ProjectOption = None,
     as_json: AsJson = False,
 ) -> None:

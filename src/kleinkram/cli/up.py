@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from kleinkram.cli.errors import ExitCode, fail
 from kleinkram.cli.options import AsJson
+from kleinkram.failures import code_of
 
 if TYPE_CHECKING:
     from kleinkram.standalone.doctor import Finding
@@ -132,5 +134,4 @@ def _line(finding: "Finding") -> str:
 
 
 def _fail(error: "StandaloneError") -> NoReturn:
-    typer.echo(f"Error: {error}", err=True)
-    sys.exit(1)
+    sys.exit(fail(code_of(error), str(error), ExitCode.server_failed))

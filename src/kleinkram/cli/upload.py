@@ -132,6 +132,8 @@ def _upload_folders(client: Client, project: str, paths: Sequence[str], how: _Ho
         note(f"{name}:")
         try:
             told, code = _upload(client, project, name, [f"{folder}/"], how)
+        except Interrupted:
+            raise
         except KleinkramError as error:
             told, code = {"error": str(error)}, exit_code_of([error])
             note(f"Error: {error}")

@@ -40,7 +40,10 @@ def verify(
     if as_json:
         show_json({"items": [_plain(one) for one in found], "left_out": [plain_error(each) for each in left_out]})
     else:
-        table(["verdict", "path", "size"], [(one.verdict.value, one.path, size(one.size_bytes)) for one in found])
+        table(
+            ["verdict", "path", "size"],
+            [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(found)],
+        )
         _say_damage(found)
     unread = [one.error for one in found if one.error is not None]
     say_left_out(unread)
@@ -72,11 +75,19 @@ def _remote(client: Client, project: Many, mission: Many, paths: list[str], time
     return verify_remote(client.files, files, timeout_s=timeout_s)
 
 
+def _named(found: list[Verified]) -> list[tuple[Verified, str]]:
+    """Return each with its path, and with project and mission before it where these are several."""
+    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in found]
+    if len({place for place in places if place}) < 2:
+        return [(one, one.path) for one in found]
+    return [(one, "/".join([*place, one.path])) for one, place in zip(found, places, strict=True)]
+
+
 def _say_damage(found: list[Verified]) -> None:
-    for one in found:
+    for one, path in _named(found):
         if one.file is not None and one.file.damaged_at is not None:
             reason, since = one.file.state_reason, moment(one.file.damaged_at)
-            note(f"{one.path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
+            note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
 
 
 def _plain(one: Verified) -> dict[str, object]:

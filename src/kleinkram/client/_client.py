@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from typing_extensions import Self
 
@@ -18,7 +18,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from kleinkram.client.references import HasId, Ref
+    from kleinkram.client.references import Ref
     from kleinkram.client.search import FileFields, Wanted
     from kleinkram.client.transfer import TransferReport
     from kleinkram.contract.files import FileRead
@@ -93,7 +93,7 @@ class Client:
         project: "Ref | None" = None,
         create: bool = False,
         metadata: "Metadata | None" = None,
-        exclude: "Sequence[str]" = (),
+        exclude: "str | Sequence[str]" = (),
         include_active: bool = False,
         connections: int = 4,
         bytes_per_s: float | None = None,
@@ -115,7 +115,8 @@ class Client:
         from kleinkram.client.transfer.upload import upload
         from kleinkram.contract.errors import NotFound
 
-        plan = plan_upload(as_paths(paths), include_active=include_active, exclude=exclude)
+        globs = [exclude] if isinstance(exclude, str) else exclude
+        plan = plan_upload(as_paths(paths), include_active=include_active, exclude=globs)
         if not plan.files and not plan.left_out:
             raise NothingToDo(reason="There is no file in these paths")
         try:
@@ -130,7 +131,7 @@ class Client:
 
     def download(
         self,
-        what: "Wanted | HasId | Sequence[HasId]" = None,
+        what: "Wanted | Ref | Iterable[Ref]" = None,
         dest: "AnyPath" = ".",
         *,
         nested: bool = False,
@@ -142,8 +143,8 @@ class Client:
         """Download files below a folder, each verified before it gets its name, and return how each ended.
 
         Args:
-            what: a file, a mission, or several; the text of a query, or a filter. Or say which by keywords, as in
-                `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
+            what: a file or its id, a mission, or several; the text of a query, or a filter. Or say which by keywords,
+                as in `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
             dest: the folder; it is made where it is missing.
             nested: write to PROJECT/MISSION/PATH below it.
             overwrite: replace files that are there with other content.
@@ -166,16 +167,18 @@ class Client:
         plan = plan_download(files, Path(as_paths(dest)[0]), nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
 
-    def _files_of(self, what: "Wanted | HasId | Sequence[HasId]", fields: "FileFields") -> "list[FileRead]":
+    def _files_of(self, what: "Wanted | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
         from kleinkram.contract.files import FileFilter, FileRead
         from kleinkram.contract.missions import MissionRead
+        from kleinkram.contract.names import is_id
 
-        if what is None or isinstance(what, str | FileFilter):
+        if what is None or isinstance(what, FileFilter) or (isinstance(what, str) and not is_id(what)):
             if not what and not fields:
                 raise NothingToDo(reason='Say which files: download("*") is all')
             return [*self.files.list("path:*" if what == "*" else what, **fields)]
         found: list[FileRead] = []
-        for each in [what] if hasattr(what, "id") else what:
+        is_one = hasattr(what, "id") or isinstance(what, str) or not isinstance(what, Iterable)
+        for each in [cast("Ref", what)] if is_one else cast("Iterable[Ref]", what):
             if isinstance(each, MissionRead):
                 narrowed = fields.copy()
                 narrowed["mission"] = each

@@ -4,6 +4,7 @@ Never moves the bytes of files; those go straight to the store (`transfer/`). Sa
 """
 
 import datetime
+import enum
 import json
 import logging
 import math
@@ -58,6 +59,8 @@ def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, enum.Enum):
+        return str(value.value)
     return ("true" if value else "false") if isinstance(value, bool) else str(value)
 
 

@@ -38,8 +38,8 @@ _TRIAL_S = 1.0
 # Where `struct tcp_info` of Linux (linux/tcp.h) has tcpi_unacked and tcpi_last_ack_recv, the latter in milliseconds.
 _TCP_INFO = struct.Struct("=24xI28xI")
 
-_lock = threading.Lock()
-_open_connections: "weakref.WeakSet[WatchedConnection]" = weakref.WeakSet()
+_lock = threading.RLock()  # a thread that holds it may collect garbage, which closes connections
+_open_connections: "weakref.WeakValueDictionary[int, WatchedConnection]" = weakref.WeakValueDictionary()
 
 
 def socket_options() -> list[tuple[int, int, int]]:
@@ -56,12 +56,17 @@ def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket
     """Say whether this machine still has the address of a socket's own end."""
     host, _, *rest = address
     family = socket.AF_INET6 if rest else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as trial:
-        try:
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as trial:
             trial.bind((host, 0, *rest))
-        except OSError as error:
-            return error.errno != errno.EADDRNOTAVAIL
+    except OSError as error:
+        return error.errno != errno.EADDRNOTAVAIL
     return True
+
+
+def _connections() -> "list[WatchedConnection]":
+    """Return the open connections; they may change while one reads the list."""
+    return [connection for each in _open_connections.valuerefs() if (connection := each()) is not None]
 
 
 class WatchedConnection(HTTPConnection):
@@ -75,11 +80,11 @@ class WatchedConnection(HTTPConnection):
         if self.sock:
             self._own_address = self.sock.getsockname()
             with _lock:
-                _open_connections.add(self)
+                _open_connections[id(self)] = self
 
     def close(self) -> None:
         with _lock:  # nobody may shut down a socket whose number is somebody else's by then
-            _open_connections.discard(self)
+            _open_connections.pop(id(self), None)
         super().close()
 
     @property
@@ -98,10 +103,11 @@ class WatchedConnection(HTTPConnection):
 
     def stalled_s(self) -> float:
         """Return for how long bytes on their way have not been acknowledged; 0 where the kernel does not say."""
-        if sys.platform != "linux" or self.sock is None:
+        sock = self.sock
+        if sys.platform != "linux" or sock is None:
             return 0.0
         try:
-            info = self.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
         except OSError:
             return 0.0
         unacknowledged, last_ms = _TCP_INFO.unpack(info)
@@ -115,8 +121,9 @@ class WatchedConnection(HTTPConnection):
 
     def peer(self) -> tuple[str, int] | None:
         """Return the address of the other side."""
+        sock = self.sock
         try:
-            return self.sock.getpeername()[:2] if self.sock else None
+            return sock.getpeername()[:2] if sock else None
         except OSError:
             return None
 
@@ -175,10 +182,8 @@ class NetworkMonitor:
     def _watch(self) -> None:
         while not self._over.wait(_LOOK_EVERY_S):
             with _lock:
-                ended = {address for each in _open_connections if (address := each.end_if_stranded())}
-                stalled = {
-                    peer for each in _open_connections if each.stalled_s() > _STALLED_S and (peer := each.peer())
-                }
+                ended = {address for each in _connections() if (address := each.end_if_stranded())}
+                stalled = {peer for each in _connections() if each.stalled_s() > _STALLED_S and (peer := each.peer())}
             for address in ended:
                 self._lost(address)
             self._answered_at = {peer: moment for peer, moment in self._answered_at.items() if peer in stalled}
@@ -199,7 +204,7 @@ class NetworkMonitor:
             self._answered_at[peer] = time.monotonic()
         answered_s = time.monotonic() - self._answered_at[peer]
         with _lock:
-            dead = [each for each in _open_connections if each.peer() == peer and answered_s > each.stalled_s() / 2 > 0]
+            dead = [each for each in _connections() if each.peer() == peer and answered_s > each.stalled_s() / 2 > 0]
             dead = [each for each in dead if each.stalled_s() > 2 * _STALLED_S and each.shut_down()]
         if dead:
             self._lost(None)

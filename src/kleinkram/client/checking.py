@@ -48,5 +48,7 @@ def as_datetime(what: str, time: object) -> datetime.datetime | None:
     try:
         moment: datetime.datetime = _EPOCH + datetime.timedelta(microseconds=to_ns(cast(Time, time)) // 1000)
         return moment
-    except (TypeError, ValueError, OverflowError) as error:
+    except OverflowError:
+        raise InvalidInput(what=f"The time {time!r} ({what})", reason="it is too far from 1970") from None
+    except (TypeError, ValueError) as error:
         raise InvalidInput(what=f"The time {time!r} ({what})", reason=str(error)) from None

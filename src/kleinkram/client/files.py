@@ -34,7 +34,7 @@ class Files:
         self,
         matching: Wanted = None,
         *,
-        sort: FileSort | None = None,
+        sort: FileSort | str | None = None,
         limit: int | None = None,
         **fields: Unpack[FileFields],
     ) -> Listing[FileRead]:
@@ -46,7 +46,7 @@ class Files:
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        query = query_of(as_filter(matching, fields), sort=sort.value if sort else None)
+        query = query_of(as_filter(matching, fields), sort=sort)
         return pages(self._api, "/files", FileRead, query, limit=limit)
 
     def count(self, matching: Wanted = None, **fields: Unpack[FileFields]) -> int:

@@ -19,7 +19,6 @@ from kleinkram.contract.missions import (
     MissionFilter,
     MissionOrder,
     MissionRead,
-    MissionSort,
     MissionUpdate,
 )
 from kleinkram.contract.timelines import MissionTimeline, TimelineFile
@@ -50,8 +49,7 @@ class Missions:
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        order = sort.value if isinstance(sort, MissionSort) else sort
-        asked = query_of(as_mission_filter(matching, fields), query=query, sort=order)
+        asked = query_of(as_mission_filter(matching, fields), query=query, sort=sort)
         return pages(self._api, "/missions", MissionRead, asked, limit=limit)
 
     def count(

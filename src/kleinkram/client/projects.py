@@ -23,11 +23,11 @@ class Projects:
         *,
         name: str | None = None,
         text: str | None = None,
-        sort: ProjectSort | None = None,
+        sort: ProjectSort | str | None = None,
         limit: int | None = None,
     ) -> Listing[ProjectRead]:
         """Yield projects, by name unless `sort` says otherwise; `name` may be a glob, `text` is found anywhere."""
-        query = query_of(None, name=name, text=text, sort=sort.value if sort else None)
+        query = query_of(None, name=name, text=text, sort=sort)
         return pages(self._api, "/projects", ProjectRead, query, limit=limit)
 
     def count(self, *, name: str | None = None, text: str | None = None) -> int:

@@ -39,6 +39,18 @@ def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
     return found
 
 
+def refs_of(noun: str, value: object) -> list[object]:
+    """Return one reference or several as a list.
+
+    Raises:
+        InvalidInput: there is none, which would stand for all.
+    """
+    several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
+    if not several:
+        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out where all are meant")
+    return several
+
+
 def is_glob(ref: str) -> bool:
     """Say whether a reference may stand for many."""
     return "*" in ref or "?" in ref

@@ -15,7 +15,7 @@ from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id
+from kleinkram.client.references import Ref, known_id, refs_of
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity
@@ -258,11 +258,13 @@ class Runs:
         if not fields:
             return matching
         given = dict(fields)
-        nouns = {"project": Projects(self._api).id_of, "mission": Missions(self._api).id_of}
-        for noun, id_of in nouns.items():
-            if (value := given.pop(noun, None)) is not None:
-                refs = value if isinstance(value, list | tuple | set | frozenset) else [value]
-                given[f"{noun}_ids"] = [id_of(cast(Ref, ref)) for ref in refs]
+        projects: list[uuid.UUID] = []
+        if (value := given.pop("project", None)) is not None:
+            projects = [Projects(self._api).id_of(cast(Ref, ref)) for ref in refs_of("project", value)]
+            given["project_ids"] = projects
+        if (value := given.pop("mission", None)) is not None:
+            within = projects[0] if len(projects) == 1 else None
+            given["mission_ids"] = [self._mission_id(cast(Ref, ref), within) for ref in refs_of("mission", value)]
         if (run := given.pop("run", None)) is not None:
             given["run_id"] = known_id(cast(Ref, run), "run") or run
         for name in ("state", "severity"):
@@ -270,6 +272,10 @@ class Runs:
                 given[name] = [given[name]]
         said = matching.model_dump(exclude_defaults=True) if matching else {}
         return checked(kind, "The filter", **said, **given)
+
+    def _mission_id(self, ref: Ref, project_id: uuid.UUID | None) -> uuid.UUID:
+        says_project = isinstance(ref, str) and "/" in ref
+        return Missions(self._api).id_of(ref, project=None if says_project else project_id)
 
 
 def _run_id(ref: Ref) -> uuid.UUID:

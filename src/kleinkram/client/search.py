@@ -1,6 +1,5 @@
 """One search over missions, files and topics, for programs. A query is a text; see the page on searching."""
 
-import enum
 import uuid
 from collections.abc import Mapping, Sequence
 from typing import cast
@@ -10,7 +9,7 @@ from typing_extensions import TypedDict
 from kleinkram.client._http import Api, query_of
 from kleinkram.client.checking import Time, as_datetime, checked
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.references import Ref, known_id
+from kleinkram.client.references import Ref, known_id, refs_of
 from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
@@ -27,7 +26,7 @@ class Search:
     def __init__(self, api: Api) -> None:
         self._api = api
 
-    def find(self, query: str = "", *, sort: FileSort | None = None, limit: int | None = None) -> SearchRead:
+    def find(self, query: str = "", *, sort: FileSort | str | None = None, limit: int | None = None) -> SearchRead:
         """Return the first missions, files (latest first) and topics that a query finds, and how many there are.
 
         `client.files.list(query)` and `client.missions.list(query=query)` yield all of them.
@@ -35,7 +34,7 @@ class Search:
         Raises:
             InvalidQuery: the query cannot be read; says which word, at which column, and what is possible.
         """
-        asked = query_of(None, query=query, sort=sort.value if sort else None, limit=limit)
+        asked = query_of(None, query=query, sort=sort, limit=limit)
         return self._api.get("/search", SearchRead, asked)
 
     def facets(self, query: str = "") -> FacetsRead:
@@ -134,8 +133,10 @@ def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
     for name, value in fields.items():
         if value is None:
             continue
-        if name in {"project", "mission"}:
-            given |= _place(name, value)
+        if name == "mission":
+            given |= _missions(value, has_project=fields.get("project") is not None)
+        elif name == "project":
+            given |= _place(name, refs_of(name, value))
         elif name in {"recorded_after", "recorded_before"}:
             given[name] = as_datetime(name, value)
         elif name.endswith("_size_bytes") and isinstance(value, str):
@@ -143,12 +144,24 @@ def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
         elif name in _SAID_ONCE or name.endswith("_bytes") or name == "name":
             given[name] = value
         else:
-            given[name] = [value] if isinstance(value, str | enum.Enum) else value
+            given[name] = refs_of(name, value)
     return given
 
 
-def _place(noun: str, value: object) -> dict[str, object]:
-    several = value if isinstance(value, list | tuple | set | frozenset) else [value]
+def _missions(value: object, *, has_project: bool) -> dict[str, object]:
+    """Return the part of a filter that says which missions; one may be `"PROJECT/MISSION"`."""
+    several = refs_of("mission", value)
+    named = [ref for ref in several if isinstance(ref, str) and "/" in ref]
+    if not named:
+        return _place("mission", several)
+    if has_project or len(several) > 1:
+        reason = f"say the project of {named[0]!r} by project="
+        raise InvalidInput(what="The filter (mission)", reason=reason)
+    project, _, name = named[0].partition("/")
+    return {**_place("project", [project]), **_place("mission", [name])}
+
+
+def _place(noun: str, several: Sequence[object]) -> dict[str, object]:
     refs = [known_id(cast(Ref, ref), noun) or str(ref) for ref in several]
     if len(refs) == 1:
         return {f"{noun}_id" if isinstance(refs[0], uuid.UUID) else noun: refs[0]}

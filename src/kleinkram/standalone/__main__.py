@@ -8,6 +8,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from kleinkram.failures import code_of, failure_line
 from kleinkram.standalone.address import Listening
 from kleinkram.standalone.errors import StandaloneError
 from kleinkram.standalone.plan import UpOptions
@@ -21,10 +22,11 @@ def arguments(options: UpOptions) -> list[str]:
 
 def main() -> None:
     """Run until asked to stop; a failure is one sentence on stderr and exit code 1."""
+    options = _options(sys.argv[1])
     try:
-        run(_options(sys.argv[1]))
+        run(options)
     except StandaloneError as error:
-        sys.exit(f"Error: {error}")
+        sys.exit(failure_line(str(error), code=code_of(error), exit_code=1, as_json=options.as_json))
 
 
 def _options(text: str) -> UpOptions:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from kleinkram.failures import code_of, failure_line
 from kleinkram.standalone import child
 from kleinkram.standalone.data_dir import (
     DataDir,
@@ -61,7 +62,8 @@ def main() -> None:
     except StopAsked:
         code = _INTERRUPTED
     except StandaloneError as error:
-        sys.exit(f"Error: {error}")
+        as_json = bool(errand.order.get("as_json"))
+        sys.exit(failure_line(str(error), code=code_of(error), exit_code=1, as_json=as_json))
     sys.exit(code)
 
 

@@ -11,6 +11,8 @@ import pytest
 
 from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download, plan_upload, upload
+from kleinkram.client.transfer.download import fetch
+from kleinkram.client.transfer.progress import Unwatched
 from kleinkram.contract.errors import UploadGone
 from tests.integration.conftest import StartApi
 from tests.integration.middleman import Asked, Lost, Middleman, Reply, standing_before
@@ -177,3 +179,35 @@ def test_a_client_goes_on_fetching_until_the_store_can(
     (result,) = download(client, plan, connections=1).results
     assert result.outcome is Outcome.downloaded, result.error
     assert (tmp_path / "back" / "run.bin").read_bytes() == body
+
+
+def test_a_file_that_the_store_does_not_return_keeps_no_other_from_arriving(
+    middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
+) -> None:
+    """Both are so large that one of them fills a link that has not proved to be fast."""
+    folder = tmp_path / "day"
+    folder.mkdir()
+    for name in ("a.bin", "b.bin"):
+        (folder / name).write_bytes(os.urandom(_PART + 100))
+        os.utime(folder / name, (1_700_000_000, 1_700_000_000))
+    upload(client, uuid.UUID(mission_id), plan_upload([f"{folder}/"]))
+    bad: list[str] = []
+    order: list[str] = []
+    most_refused = 8  # some seconds of tries
+
+    def rule(asked: Asked) -> Reply | None:
+        is_bad = asked.method == "GET" and asked.key == (bad or [asked.key])[0]
+        if not is_bad or order or len(bad) > most_refused:
+            return None
+        bad.append(asked.key)
+        return Reply(500, "InternalError")
+
+    class Noted(Unwatched):
+        def ended(self, path: str, outcome: str, reason: str | None) -> None:
+            order.append(outcome)
+
+    middleman.rule = rule
+    plan = plan_download(client.files.list(mission=mission_id), tmp_path / "back")
+    fetch(lambda file_ids: client.files.links(file_ids).items, client.endpoint.url, plan, watcher=Noted())
+    assert order == ["downloaded", "downloaded"]
+    assert 0 < len(bad) <= most_refused

@@ -1,16 +1,22 @@
 """How a transfer adapts to its link, and what it tells about it."""
 
 import errno
+import gc
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import pytest
 import urllib3
 
-from kleinkram.client._network import has_address
+from kleinkram.client import _network
+from kleinkram.client._network import WatchedConnection, WatchedPools, has_address
 from kleinkram.client._retry import Backoff
+from kleinkram.client.errors import ServerUnreachable
+from kleinkram.client.transfer import _downloader, plan_download
 from kleinkram.client.transfer._flow import Stop
+from kleinkram.client.transfer.download import fetch
 from kleinkram.client.transfer.link import (
     CALM_S,
     QUICK_S,
@@ -22,8 +28,11 @@ from kleinkram.client.transfer.link import (
     diagnose,
     is_silence,
 )
+from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
 from tests.ports import choose_port
+from tests.unit.client.nouns import file_read
 
 _CONNECTIONS = 4
 
@@ -87,6 +96,15 @@ def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
     for _ in range(100):
         window.arrived(10_000, 1.0)
         assert window.limit_bytes >= _CONNECTIONS * 10_000
+
+
+def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) -> None:
+    window = Window(_CONNECTIONS, clock=clock)
+    for _ in range(_CONNECTIONS):
+        window.arrived(8 * PART, 0.5)
+    assert window.limit_bytes >= _CONNECTIONS * 7 * PART
+    window.arrived(1000, 0.05)
+    assert window.limit_bytes >= _CONNECTIONS * 7 * PART
 
 
 def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
@@ -188,6 +206,48 @@ def test_silence_is_not_a_reset(error: BaseException | None, silent: bool) -> No
     assert is_silence(error) is silent
 
 
+def _refused() -> BaseException:
+    pools = WatchedPools(maxsize=1, timeout=urllib3.Timeout(1))
+    with pytest.raises(urllib3.exceptions.HTTPError) as caught:
+        pools.request("GET", f"http://127.0.0.1:{choose_port()}/")
+    return caught.value
+
+
+def _unconnected(cause: OSError) -> BaseException:
+    connection = WatchedConnection("store", 9000)
+    error = urllib3.exceptions.NewConnectionError(connection, f"Failed to establish a new connection: {cause}")
+    error.__cause__ = cause
+    return error
+
+
+def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
+    watch, said = _watch(clock)
+    watch.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
+    assert said == []
+    clock.now += 20
+    watch.arrived()
+    assert watch.report().longest_outage_s == 20
+
+
+@pytest.mark.parametrize(
+    "cause",
+    [
+        OSError(errno.ENETUNREACH, "Network is unreachable"),
+        OSError(errno.EHOSTUNREACH, "No route to host"),
+        socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution"),
+    ],
+)
+def test_a_machine_without_a_network_is_told_so(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch, said = _watch(clock)
+    backoff = _backoff()
+    error = _unconnected(cause)
+    watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
+    assert said == [], "this may pass in a moment"
+    monkeypatch.setattr(backoff, "lasting_s", lambda: 6.0)
+    watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
+    assert said == [f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"]
+
+
 def test_an_error_that_wraps_silence_is_silence() -> None:
     wrapping = urllib3.exceptions.ProtocolError("Connection broken")
     wrapping.__cause__ = OSError(errno.ETIMEDOUT, "Connection timed out")
@@ -197,6 +257,32 @@ def test_an_error_that_wraps_silence_is_silence() -> None:
 def test_this_machine_knows_its_addresses() -> None:
     assert has_address(("127.0.0.1", 1234))
     assert not has_address(("192.0.2.77", 1234))
+
+
+def test_a_machine_that_cannot_look_keeps_its_connections(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cannot(*_: object) -> socket.socket:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "socket", cannot)
+    assert has_address(("127.0.0.1", 1234))
+
+
+def test_connections_may_be_collected_by_a_thread_that_looks_at_others(listening: Callable[[], str]) -> None:
+    def look() -> None:
+        pool = WatchedPools(maxsize=1, timeout=urllib3.Timeout(1)).connection_from_url(listening())
+        connection = pool._get_conn()
+        connection.connect()
+        pool._put_conn(connection)
+        cycle: list[object] = [pool]
+        cycle.append(cycle)
+        del pool, connection, cycle
+        with _network._lock:
+            gc.collect()
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    thread.join(10)
+    assert not thread.is_alive()
 
 
 @pytest.fixture
@@ -220,3 +306,23 @@ def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) 
     assert "Look at this machine's network first" in diagnose(dead, dead)
     assert "the name 'nowhere.invalid' cannot be resolved" in diagnose("http://nowhere.invalid", None)
     assert diagnose(works, works).startswith("Both can be reached again")
+    assert diagnose(works, None).startswith("It can be reached again")
+
+
+def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = f"http://127.0.0.1:{choose_port()}"
+    said: list[str] = []
+
+    class Heard(Unwatched):
+        def said(self, text: str) -> None:
+            said.append(text)
+
+    def links(_: object) -> Sequence[DownloadLink]:
+        raise ServerUnreachable(url=server, reason="Connection refused")
+
+    monkeypatch.setattr(_downloader, "PATIENCE_S", 0.0)
+    with pytest.raises(ServerUnreachable):
+        fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Heard())
+    assert "cannot be reached: Connection refused" in said[-1]

@@ -107,10 +107,13 @@ class Downloader:
         threads = [threading.Thread(target=self._guard, daemon=True) for _ in range(connections + 1)]
         for thread in threads:
             thread.start()
+        failure: BaseException | None = None
         try:
             with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 self._hand_out(targets)
                 self._under_way.wait_until_free()
+        except KleinkramError as error:
+            failure = error
         finally:
             self._stop.now()
             for thread in threads:
@@ -118,9 +121,10 @@ class Downloader:
             for fetching in self._open.values():
                 fetching.close()
             self._store.close()
-        if self._stop.failure is not None:
-            self._link.explain(self._stop.failure, self._server)
-            raise self._stop.failure
+        failure = failure or self._stop.failure
+        if failure is not None:
+            self._link.explain(failure, self._server)
+            raise failure
         return self._link.report()
 
     def _ask_links(self, file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
@@ -214,8 +218,8 @@ class Downloader:
         fetching = piece.fetching
         try:
             if not fetching.ended:
-                with self._lines, self._lane.place() as place, self._lane.turn(place, piece.last - piece.first + 1):
-                    self._fetch(piece)
+                with self._lines, self._lane.place() as place:
+                    self._fetch(piece, place)
                 fetching.arrived(piece.number, piece.last - piece.first + 1)
                 fetching.hash_ready(self._stop.check)
         except _OF_ONE_FILE as error:
@@ -223,36 +227,54 @@ class Downloader:
         self._ahead.release(1)
         self._count_done(fetching)
 
-    def _fetch(self, piece: _Piece) -> None:
+    def _fetch(self, piece: _Piece, place: int) -> None:
         fetching, offset, refusals = piece.fetching, piece.first, 0
         backoff = Backoff(PATIENCE_S, self._stop.wait)
-        began_at = time.monotonic()
         while offset <= piece.last:
-            answer = self._store.get(fetching.link.url, offset, piece.last, SLICE_BYTES)
-            reached = self._receive(piece, offset, answer)
-            if answer.error is not None:
-                self._lane.lost()
+            with self._lane.turn(place, piece.last + 1 - offset) as waited_s:
+                backoff.excuse(waited_s)
+                answer, reached = self._get(piece, offset)
             if reached > offset:
                 offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
                 self._troubled = 0
                 if answer.error is not None:
                     self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
             elif answer.answer in {Answer.taken, Answer.try_again}:
-                self._lane.lost()
-                if answer.error is None and not answer.is_of_all and self._check is not None:
-                    self._raise_if_damaged(fetching, answer.why, self._check)
-                else:
-                    self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
-                if self._link.has_moved():
-                    self._stop.wait(RECONNECT_S)
-                elif not backoff.pause():
-                    raise self._gave_up(fetching, answer)
+                self._wait_for_bytes(fetching, answer, backoff, place)
             elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
                 refusals += 1
                 fetching.link = self._ask_links([fetching.link.file_id])[0]
             else:
                 raise TransferFailed(path=fetching.link.path, reason=answer.reason)
-        self._lane.arrived(piece.last - piece.first + 1, time.monotonic() - began_at)
+
+    def _get(self, piece: _Piece, offset: int) -> tuple[GetAnswer, int]:
+        """Fetch from an offset to the piece's end; return the store's answer and the offset reached."""
+        began_at = time.monotonic()
+        answer = self._store.get(piece.fetching.link.url, offset, piece.last, SLICE_BYTES)
+        reached = self._receive(piece, offset, answer)
+        if answer.is_of_all:
+            self._lane.lost()
+        elif reached > piece.last:
+            self._lane.arrived(reached - offset, time.monotonic() - began_at)
+        return answer, reached
+
+    def _wait_for_bytes(self, fetching: Fetching, answer: GetAnswer, backoff: Backoff, place: int) -> None:
+        """Wait before a piece of which nothing came is asked for again.
+
+        Raises:
+            FileUnavailable: the server found that the file is damaged or lost.
+            StoreUnreachable, StoreTroubled: it has been waited for long enough.
+        """
+        if answer.error is None:
+            self._lane.step_out(place)
+        if answer.error is None and not answer.is_of_all and self._check is not None:
+            self._raise_if_damaged(fetching, answer.why, self._check)
+        else:
+            self._link.lost(fetching.link.url, backoff, answer.error, answer.why)
+        if self._link.has_moved():
+            self._stop.wait(RECONNECT_S)
+        elif not backoff.pause():
+            raise self._gave_up(fetching, answer)
 
     def _raise_if_damaged(self, fetching: Fetching, why: str, check: Check) -> None:
         """Have the server check a file whose bytes the store does not return; the second time, wait for the answer.

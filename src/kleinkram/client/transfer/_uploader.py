@@ -116,18 +116,22 @@ class Uploader:
             KleinkramError: something that concerns all files; those that had not ended have not been uploaded.
         """
         self._pipeline.start(connections)
+        failure: BaseException | None = None
         try:
             with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
                 for batch in batches(files):
                     self._announce(batch)
                 self._settle_leased()
                 self._pipeline.drain()
+        except KleinkramError as error:
+            failure = error
         finally:
             self._pipeline.close()
             self._journals.close()
-        if self._stop.failure is not None:
-            self._link.explain(self._stop.failure, self._server)
-            raise self._stop.failure
+        failure = failure or self._stop.failure
+        if failure is not None:
+            self._link.explain(failure, self._server)
+            raise failure
         return self._link.report()
 
     def _wait_for_server(self, seconds: float) -> None:

@@ -11,7 +11,7 @@ from kleinkram.client.transfer._downloader import Check, Downloader, Links
 from kleinkram.client.transfer._place import PART_SUFFIX, part_file
 from kleinkram.client.transfer.destination import DownloadPlan, Target
 from kleinkram.client.transfer.outcome import TransferReport, TransferResult
-from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.pace import Pace, check_limits
 from kleinkram.client.transfer.progress import Unwatched, Watcher
 
 CONNECTIONS = 4
@@ -62,6 +62,7 @@ def fetch(
 
     `check` has the server read a file that the store does not return.
     """
+    check_limits(connections, bytes_per_s)
     watcher = watcher or Unwatched()
     results: dict[uuid.UUID | None, TransferResult] = {}
     lock = threading.Lock()

@@ -31,6 +31,7 @@ CALM_S = 60.0
 QUICK_AFTER_LOSS_S = 1.0
 _WORTH_SAYING_S, _SAY_AGAIN_S = 5.0, 60.0
 _PROBE_S = 3.0
+_NO_ROUTE = frozenset({errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL, errno.ENETDOWN})
 RECONNECT_S = 0.05
 _MOVED_S = 1.0
 
@@ -61,11 +62,14 @@ class Window:
             self.limit_bytes = max(MIN_PART_BYTES, self.limit_bytes // 2)
             self._calm_since = self._clock()
         elif took_s <= (QUICK_AFTER_LOSS_S if self._has_lost else QUICK_S):
-            self.limit_bytes += size_bytes
+            self._grow(size_bytes, unit_bytes)
         elif is_calm:
-            self.limit_bytes += size_bytes
+            self._grow(size_bytes, unit_bytes)
             self._calm_since = self._clock()
-        self.limit_bytes = min(self.limit_bytes, self._connections * unit_bytes)
+
+    def _grow(self, size_bytes: int, unit_bytes: int) -> None:
+        most_bytes = self._connections * unit_bytes
+        self.limit_bytes = max(self.limit_bytes, min(self.limit_bytes + size_bytes, most_bytes))
 
     def lost(self) -> None:
         """Take note of a connection that broke, or of a store that asks for less."""
@@ -231,9 +235,13 @@ class LinkWatch:
                 self._connections_lost += 1
             if self._outage_since is None:
                 self._outage_since = self._clock() - (SILENCE_S if silent else 0.0)
+        host = urlsplit(url).netloc
         if silent:
-            host = urlsplit(url).netloc
             self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting", again_after_s=_SAY_AGAIN_S)
+        elif has_no_network(error):
+            if backoff.lasting_s() >= _WORTH_SAYING_S:
+                text = f"this machine cannot reach {host} ({reason}): it may have no network; trying again"
+                self._say("network", text, again_after_s=_SAY_AGAIN_S)
         elif backoff.lasting_s() >= _WORTH_SAYING_S:
             self._say(
                 "trouble",
@@ -284,14 +292,33 @@ class LinkWatch:
 
 def is_silence(error: BaseException | None) -> bool:
     """Say whether a connection ended because the other side was silent, and not because it said so."""
+    if has_no_network(error):
+        return False
+    for cause in _causes(error):
+        is_refusal = isinstance(cause, urllib3.exceptions.NewConnectionError)  # for urllib3 a timeout, too
+        if isinstance(cause, TimeoutError | urllib3.exceptions.TimeoutError) and not is_refusal:
+            return True
+        if isinstance(cause, OSError) and cause.errno in {errno.ETIMEDOUT, *_NO_ROUTE}:
+            return True  # the kernel gave up, for the reason that it heard of meanwhile
+    return False
+
+
+def has_no_network(error: BaseException | None) -> bool:
+    """Say whether no connection could be made because this machine knows no way: no route, no address, no names."""
+    causes = [*_causes(error)]
+    if not any(isinstance(cause, urllib3.exceptions.NewConnectionError) for cause in causes):
+        return False
+    return any(
+        isinstance(cause, socket.gaierror) or (isinstance(cause, OSError) and cause.errno in _NO_ROUTE)
+        for cause in causes
+    )
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
-        if isinstance(error, TimeoutError | urllib3.exceptions.TimeoutError):
-            return True
-        if isinstance(error, OSError) and error.errno in {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}:
-            return True
+        yield error
         inner = getattr(error, "reason", None) or error.__cause__ or error.__context__
         error = inner if isinstance(inner, BaseException) else None
-    return False
 
 
 def diagnose(api_url: str, store_url: str | None) -> str:
@@ -300,7 +327,8 @@ def diagnose(api_url: str, store_url: str | None) -> str:
     found = [(what, urlsplit(url).netloc, _try_to_connect(url)) for what, url in places]
     failed = [f"{what} ({place}) cannot be reached: {reason}" for what, place, reason in found if reason]
     if not failed:
-        return "Both can be reached again now. Run the same command again; what has arrived stays."
+        again = "It can be reached" if len(places) == 1 else "Both can be reached"
+        return f"{again} again now. Run the same command again; what has arrived stays."
     if len(failed) < len(found):
         works = ", ".join(f"{what} ({place}) answers" for what, place, reason in found if not reason)
         return f"{failed[0]}, while {works}. Ask whoever runs the server: one part of it is away, or behind a firewall."
@@ -315,7 +343,7 @@ def _try_to_connect(url: str) -> str | None:
     except socket.gaierror:
         return f"the name {host!r} cannot be resolved"
     except OSError as error:
-        if error.errno in {errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL}:
+        if error.errno in _NO_ROUTE:
             return "this machine has no route to it"
         return reason_of(error)
     return None

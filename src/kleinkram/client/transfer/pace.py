@@ -4,6 +4,20 @@ import threading
 import time
 from collections.abc import Callable
 
+from kleinkram.client.errors import InvalidInput
+
+
+def check_limits(connections: int, bytes_per_s: float | None) -> None:
+    """Refuse limits with which nothing would ever move.
+
+    Raises:
+        InvalidInput: one is not above zero.
+    """
+    if connections < 1:
+        raise InvalidInput(what=f"connections={connections}", reason="it must be at least 1")
+    if bytes_per_s is not None and not bytes_per_s > 0:
+        raise InvalidInput(what=f"bytes_per_s={bytes_per_s}", reason="it must be above zero")
+
 
 class Pace:
     """A token bucket that holds at most a quarter of a second's worth. Safe to share between threads."""

@@ -6,7 +6,7 @@ import uuid
 from kleinkram.client._client import Client
 from kleinkram.client.transfer._uploader import Uploader
 from kleinkram.client.transfer.outcome import TransferReport, TransferResult
-from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.pace import Pace, check_limits
 from kleinkram.client.transfer.plan import UploadPlan
 from kleinkram.client.transfer.progress import Unwatched, Watcher
 
@@ -31,6 +31,7 @@ def upload(
         ServerUnreachable, StoreUnreachable: one of them stayed away.
         KleinkramError: something else that concerns all files, such as a mission that was deleted.
     """
+    check_limits(connections, bytes_per_s)
     watcher = watcher or Unwatched()
     results: dict[str, TransferResult] = {}
     lock = threading.Lock()

@@ -9,10 +9,11 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NoReturn
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from kleinkram.failures import code_of, failure_line
 from kleinkram.server.backup.creating import Making, create
 from kleinkram.server.backup.failing import BackupError, CannotBeMeant, Damaged
 from kleinkram.server.backup.forgetting import forget
@@ -102,11 +103,15 @@ def main() -> None:
     try:
         sys.exit(asyncio.run(_carry_out(order)))
     except BackupError as error:
-        print(f"Error: {error}", file=sys.stderr)  # noqa: T201  (the command's own voice, here and below)
-        sys.exit(error.exit_code)
+        _fail(order, str(error), code_of(error), error.exit_code)
     except KeyboardInterrupt:
-        print("Error: Stopped. Run the same command again to go on from here.", file=sys.stderr)  # noqa: T201
-        sys.exit(_INTERRUPTED)
+        _fail(order, "Stopped. Run the same command again to go on from here.", "interrupted", _INTERRUPTED)
+
+
+def _fail(order: _Order, sentence: str, code: str, exit_code: int) -> NoReturn:
+    told = failure_line(sentence, code=code, exit_code=exit_code, as_json=order.as_json)
+    print(told, file=sys.stderr)  # noqa: T201  (the command's own voice, here and below)
+    sys.exit(exit_code)
 
 
 async def _carry_out(order: AnyOrder) -> int:
