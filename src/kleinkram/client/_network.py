@@ -31,12 +31,15 @@ _TCP_OPTIONS = {
     "TCP_KEEPCNT": 3,
     "TCP_USER_TIMEOUT": 13_000,
 }
+# The other side acknowledges, and takes nothing: a store whose disk is busy. Linux counts that as silence, too.
+_BUSY_TIMEOUT_MS = 120_000
 _LOOK_EVERY_S = 0.25
 # Bytes that are not acknowledged for so long are worth trying another connection beside them.
 _STALLED_S = 2.0
 _TRIAL_S = 1.0
-# Where `struct tcp_info` of Linux (linux/tcp.h) has tcpi_unacked and tcpi_last_ack_recv, the latter in milliseconds.
-_TCP_INFO = struct.Struct("=24xI28xI")
+# Where `struct tcp_info` of Linux (linux/tcp.h) has tcpi_unacked, tcpi_last_ack_recv in milliseconds, and
+# tcpi_notsent_bytes, which Linux before 4.6 leaves out.
+_TCP_INFO = struct.Struct("=24xI28xI84xI")
 
 _lock = threading.RLock()  # a thread that holds it may collect garbage, which closes connections
 _open_connections: "weakref.WeakValueDictionary[int, WatchedConnection]" = weakref.WeakValueDictionary()
@@ -74,9 +77,11 @@ class WatchedConnection(HTTPConnection):
 
     _own_address: tuple[Any, ...] | None = None
     _unacknowledged_since: float | None = None
+    _is_busy = False
 
     def connect(self) -> None:
         super().connect()
+        self._is_busy = False
         if self.sock:
             self._own_address = self.sock.getsockname()
             with _lock:
@@ -108,9 +113,10 @@ class WatchedConnection(HTTPConnection):
             return 0.0
         try:
             info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+            unacknowledged, last_ms, unsent_bytes = _TCP_INFO.unpack(info.ljust(_TCP_INFO.size, b"\0"))
+            self._tolerate_busy_peer(sock, is_busy=unacknowledged == 0 and unsent_bytes > 0)
         except OSError:
             return 0.0
-        unacknowledged, last_ms = _TCP_INFO.unpack(info)
         now = time.monotonic()
         if unacknowledged == 0:
             self._unacknowledged_since = None
@@ -118,6 +124,13 @@ class WatchedConnection(HTTPConnection):
             self._unacknowledged_since = now
         since = self._unacknowledged_since
         return 0.0 if since is None else min(now - since, last_ms / 1000)
+
+    def _tolerate_busy_peer(self, sock: socket.socket, *, is_busy: bool) -> None:
+        """Have the kernel wait longer for another side that is there, and takes nothing at present."""
+        if is_busy is not self._is_busy:
+            timeout_ms = _BUSY_TIMEOUT_MS if is_busy else _TCP_OPTIONS["TCP_USER_TIMEOUT"]
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, timeout_ms)
+            self._is_busy = is_busy
 
     def peer(self) -> tuple[str, int] | None:
         """Return the address of the other side."""

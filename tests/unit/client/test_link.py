@@ -1,9 +1,12 @@
 """How a transfer adapts to its link, and what it tells about it."""
 
+import contextlib
 import errno
 import gc
 import socket
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -11,7 +14,7 @@ import pytest
 import urllib3
 
 from kleinkram.client import _network
-from kleinkram.client._network import WatchedConnection, WatchedPools, has_address
+from kleinkram.client._network import NetworkMonitor, WatchedConnection, WatchedPools, has_address
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import _downloader, plan_download
@@ -283,6 +286,37 @@ def test_connections_may_be_collected_by_a_thread_that_looks_at_others(listening
     thread.start()
     thread.join(10)
     assert not thread.is_alive()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts a busy peer as a silent one")
+def test_a_store_that_takes_nothing_for_a_while_is_not_taken_for_a_dead_one() -> None:
+    listener = socket.create_server(("127.0.0.1", 0))
+    connection = WatchedConnection(*listener.getsockname(), socket_options=[*_network.socket_options()])
+    connection.connect()
+    busy, _ = listener.accept()
+    with listener, busy, NetworkMonitor(lambda _: None):
+        connection.sock.setblocking(False)
+        sent_bytes = 0
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                sent_bytes += connection.sock.send(bytes(1 << 20))
+        _wait_for_patience(connection, at_least_s=60)
+        busy.settimeout(10)
+        while sent_bytes > 0:
+            sent_bytes -= len(busy.recv(1 << 20))
+        _wait_for_patience(connection, at_least_s=0)
+    connection.close()
+
+
+def _wait_for_patience(connection: WatchedConnection, *, at_least_s: int) -> None:
+    """Wait until the kernel lets the other side be silent for more than `at_least_s` and less than a minute more."""
+    gives_up_at = time.monotonic() + 20
+    while True:
+        patience_s = connection.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) / 1000
+        if at_least_s < patience_s <= at_least_s + 60:
+            return
+        assert time.monotonic() < gives_up_at, patience_s
+        time.sleep(0.05)
 
 
 @pytest.fixture
