@@ -27,7 +27,7 @@ from kleinkram.cli.render import note, show_json, table
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client
-from kleinkram.client.errors import InvalidInput, NothingToDo, TimedOut
+from kleinkram.client.errors import InvalidInput, NothingToDo, ServerUnreachable, TimedOut
 from kleinkram.client.transfer import UploadPlan, plan_upload
 from kleinkram.client.transfer.plan import mission_folders
 from kleinkram.client.transfer.upload import CONNECTIONS
@@ -132,8 +132,8 @@ def _upload_folders(client: Client, project: str, paths: Sequence[str], how: _Ho
         note(f"{name}:")
         try:
             told, code = _upload(client, project, name, [f"{folder}/"], how)
-        except Interrupted:
-            raise
+        except (Interrupted, ServerUnreachable):
+            raise  # so would the others
         except KleinkramError as error:
             told, code = {"error": str(error)}, exit_code_of([error])
             note(f"Error: {error}")

@@ -135,7 +135,7 @@ def test_the_rest_of_a_refused_body_is_not_waited_for(api: Api, monkeypatch: pyt
 
 
 def test_empty_lines_keep_no_connection_open(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_HEAD_WITHIN_S", 0.3)
+    monkeypatch.setattr(serving, "_HEAD_WITHIN_S", 2.0)
     with _connect(api) as connection:
         connection.sendall(_LIVE)
         assert connection.recv(10_000).startswith(b"HTTP/1.1 200 ")

@@ -9068,7 +9068,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, forbidden. */
+            /** @description A failure, by its code: scope_missing, forbidden, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14014,7 +14014,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, forbidden. */
+            /** @description A failure, by its code: scope_missing, forbidden, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14336,7 +14336,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, forbidden. */
+            /** @description A failure, by its code: scope_missing, forbidden, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14410,7 +14410,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["ProblemDocument"];
                 };
             };
-            /** @description A failure, by its code: scope_missing, forbidden. */
+            /** @description A failure, by its code: scope_missing, forbidden, sign_in_too_old. */
             403: {
                 headers: {
                     [name: string]: unknown;

@@ -35,6 +35,7 @@ _RENEW_S = 20.0
 _LINGER_S = 0.02
 _GATHER_S = 0.5
 _REFUSALS = 4
+_JOIN_S = 2.0
 
 _OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
 
@@ -109,8 +110,9 @@ class Pipeline:
     def close(self) -> None:
         """Send the threads home and close what is open; journals stay for the next run."""
         self._stop.now()
+        gives_up_at = time.monotonic() + _JOIN_S  # for all together: on a dead link each would take it whole
         for thread in self._threads:
-            thread.join(timeout=2.0)
+            thread.join(max(0.0, gives_up_at - time.monotonic()))
         for sending in self._open.values():
             sending.source.close()
             sending.journal.close()

@@ -161,7 +161,7 @@ OPERATIONS: dict[str, Need] = {
     # People: seen by whoever shares a group or a project with them
     "list_people": Need(On.nothing, None, _READ),
     "get_person": Need(On.nothing, None, _READ),
-    "make_admin": Need(On.server, None, _ADMIN),
+    "make_admin": Need(On.server, None, _ADMIN, fresh=True),
     "unmake_admin": Need(On.server, None, _ADMIN),
     "deactivate_person": Need(On.server, None, _ADMIN),
     "reactivate_person": Need(On.server, None, _ADMIN),
