@@ -69,7 +69,7 @@ def test_what_cannot_be_run_is_told(terminal: Terminal, mission: tuple[str, ...]
     for header, code, why in (
         ('dependencies = ["nonsense-that-nobody-made>=2"]', 14, "needs what is not installed here: nonsense"),
         ('[tool.kleinkram]\n# inputs = {paths = ["*.csv"]}', 3, "No file of the mission drive is an input of look"),
-        ("[tool.kleinkram]\n# privileged = true", 2, "privileged: Extra inputs"),
+        ("[tool.kleinkram]\n# privileged = true", 2, "privileged: there is no such field"),
         ("dependencies = [", 2, "its header is not TOML"),
     ):
         script.write_text(f"# /// script\n# {header}\n# ///\n")
