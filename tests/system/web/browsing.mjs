@@ -27,7 +27,9 @@ export async function openBrowser(web, executablePath, pictures) {
       const isMeant = isOfTheMachine(message.text()) || (message.text().startsWith("Failed to load resource") && mayBeRefused());
       if (["error", "warning"].includes(message.type()) && !isMeant) seen.complaints.push(`${message.text()} ${message.location().url}`);
     });
-    page.on("pageerror", (error) => seen.complaints.push(error.message));
+    page.on("pageerror", (error) => {
+      if (!isOfTheMachine(error.message)) seen.complaints.push(error.message);
+    });
     page.on("dialog", (dialog) => {
       seen.ran.push(dialog.message());
       void dialog.dismiss();

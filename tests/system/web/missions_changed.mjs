@@ -180,16 +180,13 @@ await page.waitForURL((url) => url.pathname === project);
 await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor();
 await page.getByRole("row").filter({ hasText: "night" }).waitFor();
 
-// Somebody new, who may see nothing yet: home says what to do.
+// Somebody new, who may see nothing yet: home says so, and whom to ask.
 const { page: guest } = await somebody(() => isMeantToFail);
 await guest.goto(invitation);
 await guest.getByLabel(/password/i).fill("a long enough password");
 await guest.getByRole("button", { name: "Make my account" }).click();
 await guest.waitForURL((url) => url.pathname === "/");
-await guest.getByText("Nothing has been uploaded yet").waitFor();
+await guest.locator("[data-no-access]").waitFor();
 seen.empty = await guest.locator("main").innerText();
 await look(guest, "home-empty");
-await guest.getByRole("link", { name: "Upload a first folder" }).click();
-await guest.waitForURL((url) => url.pathname === "/upload");
-await guest.getByRole("button", { name: "Choose a folder" }).waitFor();
 await tell();

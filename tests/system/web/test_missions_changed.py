@@ -59,7 +59,7 @@ def test_missions_changed(house: House, act: Act, pictures: Path, tmp_path: Path
     assert seen["proven"]["after"] > seen["proven"]["before"]
     assert "second line" in seen["back"]
     assert "2 missions" in seen["goesWithIt"], "it says what goes with the project"
-    assert "klein upload FOLDER/" in seen["empty"]
+    assert "You have no access yet" in seen["empty"]
     # Under the path that the other machine gave it, though a folder that is chosen goes up with its name.
     now = {each["path"]: each["mission"]["name"] for each in terminal.run("file", "list", "--json").json()["items"]}
     assert now == {"drive.mcap": "night", "camera.raw": "night", "notes.txt": "north ridge"}

@@ -30,13 +30,13 @@ export function useHomeStorage() {
   });
 }
 
-/** Whether somebody without the power of an admin sees no project at all; asked only where it matters. */
+/** Whether somebody without the power of an admin sees no project at all; undefined until that is known. */
 export function useHasNoAccess(isAsked: () => boolean) {
   const { isAdmin } = useMe();
-  const { data } = useQuery({
+  const { data, isError } = useQuery({
     queryKey: keys.projects({ any: true }),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query: { limit: 1 } }, signal })),
     enabled: () => isAsked() && !isAdmin.value,
   });
-  return computed(() => !isAdmin.value && data.value?.items.length === 0);
+  return computed(() => (isAdmin.value || isError.value ? false : data.value && data.value.items.length === 0));
 }
