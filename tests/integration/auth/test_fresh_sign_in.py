@@ -55,7 +55,9 @@ def test_a_password_is_changed_only_after_signing_in_again(api: Api, ada: Accoun
     assert "session.renew" in [event["operation"] for event in api.get("/audit", {"person_id": ada.id}).ok()["items"]]
 
 
-def test_an_admins_old_sign_in_makes_no_admin_and_resets_nobodys_password_or_second_factor(api: Api, ada: Account) -> None:
+def test_an_admins_old_sign_in_makes_no_admin_and_resets_nobodys_password_or_second_factor(
+    api: Api, ada: Account
+) -> None:
     api.post(f"/people/{ada.id}/admin").ok()
     _age(api, ada)
     for method, path in (("POST", "reset"), ("DELETE", "totp"), ("POST", "admin")):
