@@ -11,7 +11,16 @@ from typing import NamedTuple
 from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_PROBLEMS
-from kleinkram.recordings.model import Content, Lost, Problem, RecordingFormat, RecordingSummary, TopicSummary, counted
+from kleinkram.recordings.model import (
+    Content,
+    Lost,
+    Problem,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+    counted,
+    span_text,
+)
 from kleinkram.recordings.oddities import gathered, name_oddities
 from kleinkram.recordings.tally import Lateness
 from kleinkram.recordings.timeline import Jump, Run, Timeline, TopicTimes, bulk, within
@@ -141,10 +150,10 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
     """Say which topics were logged long before or after they were published."""
     problems = []
     for topic, late in sorted(lateness.items()):
-        median_s, largest_s = sorted(late.sample)[len(late.sample) // 2] / 1e9, late.largest_ns / 1e9
+        median_ns = sorted(late.sample)[len(late.sample) // 2]
         message = (
             f"{counted(late.count, 'message was', 'messages were')} logged more than 1 s away from their publish time: "
-            f"typically {median_s:+.1f} s, at most {largest_s:+.1f} s"
+            f"typically {span_text(median_ns, '+')}, at most {span_text(late.largest_ns, '+')}"
         )
         problems.append(Problem("publish-time-differs", topic, message))
     return gathered(problems)

@@ -186,6 +186,16 @@ class RecordingSummary:
     facts: tuple[Fact, ...] = ()
 
 
+def span_text(span_ns: int, sign: str = "") -> str:
+    """Return a span as people read it: seconds, from 100 hours on days, then years; `sign` "+" shows both signs."""
+    seconds = span_ns / 1e9
+    if abs(seconds) >= 365.25 * 86_400:
+        return f"{seconds / (365.25 * 86_400):{sign}.1f} years"
+    if abs(seconds) >= 100 * 3600:
+        return f"{seconds / 86_400:{sign}.1f} days"
+    return f"{seconds:{sign}.1f} s"
+
+
 def counted(number: int, one: str, several: str = "") -> str:
     """Return `1 message`, `2 messages`; `several`: what follows other numbers, where that is not `one` and an s."""
     return f"{number} {one if number == 1 else several or f'{one}s'}"

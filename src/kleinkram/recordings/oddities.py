@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.model import Problem, TopicSummary
+from kleinkram.recordings.model import Problem, TopicSummary, span_text
 
 _LEAST_MESSAGES = 10
 _PERIODS = 10
@@ -54,20 +54,20 @@ def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
 def _starts_late(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
     if not _is_long(topic.head_gap_ns, rate_hz, span_ns, _PERIODS):
         return []
-    return [Problem("starts-late", topic.name, f"its first message comes {_s(topic.head_gap_ns)} late")]
+    return [Problem("starts-late", topic.name, f"its first message comes {span_text(topic.head_gap_ns or 0)} late")]
 
 
 def _stops_early(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
     if not _is_long(topic.tail_gap_ns, rate_hz, span_ns, _PERIODS):
         return []
-    message = f"its last message comes {_s(topic.tail_gap_ns)} before the end of the recording"
+    message = f"its last message comes {span_text(topic.tail_gap_ns or 0)} before the end of the recording"
     return [Problem("stops-early", topic.name, message)]
 
 
 def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
     if not _is_long(topic.longest_gap_ns, rate_hz, span_ns, _PERIODS_FOR_GAPS):
         return []
-    message = f"it is silent for {_s(topic.longest_gap_ns)} in between, at {rate_hz:.3g} Hz on average"
+    message = f"it is silent for {span_text(topic.longest_gap_ns or 0)} in between, at {rate_hz:.3g} Hz on average"
     return [Problem("long-gap", topic.name, message)]
 
 
@@ -86,7 +86,3 @@ def _is_long(silence_ns: int | None, rate_hz: float, span_ns: int, periods: int)
     if silence_ns is None:
         return False
     return silence_ns > max(periods * 1e9 / rate_hz, _LEAST_SILENCE_NS, span_ns // _SHARE_OF_SPAN)
-
-
-def _s(time_ns: int | None) -> str:
-    return f"{(time_ns or 0) / 1e9:.1f} s"

@@ -13,6 +13,7 @@ from kleinkram.recordings.bag import records as bag_records
 from kleinkram.recordings.forward import from_source
 from kleinkram.recordings.mcap import records
 from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.model import span_text
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -127,6 +128,16 @@ def test_log_times_far_from_publish_times() -> None:
         "/imu",
         "20 messages were logged more than 1 s away from their publish time: typically -3.0 s, at most -3.0 s",
     )
+
+
+def test_long_spans_are_told_in_days_and_years() -> None:
+    assert [span_text(seconds * SECOND) for seconds in (0, 3660, -200 * 3600, 12 * 365 * 86_400)] == [
+        "0.0 s",
+        "3660.0 s",
+        "-8.3 days",
+        "12.0 years",
+    ]
+    assert span_text(400 * 86_400 * SECOND, "+") == "+1.1 years"
 
 
 def fields(values: dict[str, bytes]) -> bytes:
