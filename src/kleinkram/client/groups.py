@@ -96,13 +96,7 @@ class Groups:
             EditedMeanwhile: the membership is of another edition by now.
         """
         body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
-        return self._api.send(
-            "PUT",
-            f"/groups/{self.id_of(group)}/members/{People(self._api).id_of(person)}",
-            MemberRead,
-            body,
-            edition=if_edition,
-        )
+        return self._api.send("PUT", self._member(group, person), MemberRead, body, edition=if_edition)
 
     def remove_member(self, group: Ref, person: Ref) -> None:
         """Take somebody out of a group, as its editor; or leave it oneself.
