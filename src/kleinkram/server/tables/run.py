@@ -154,8 +154,8 @@ run_metric = Table(
 )
 
 # Pieces of logs in the store. Without a run they, and then their rows, are swept.
-log_segment = Table(
-    "log_segment",
+log_chunk = Table(
+    "log_chunk",
     metadata,
     Column("key", Text, primary_key=True),
     Column("store_id", Text, nullable=False, server_default="main"),
