@@ -1,14 +1,15 @@
-"""Every answer that a test gets is held to the API's own description: its status, and the code of a failure."""
+"""Checks that each answer of the API is one that its OpenAPI document describes."""
 
 import re
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+from kleinkram.contract.errors import ERRORS, ProblemDocument
 from kleinkram.server.app import create_app
 from kleinkram.server.settings import Settings
 
-# What is described does not depend on settings; and a test may add routes of its own to the app that it asks.
+# The document does not depend on the settings. A test may add routes to its own app, so this one is separate.
 _SETTINGS = {
     "database_url": "postgresql://kleinkram_serve@localhost/kleinkram",
     "s3_internal_url": "http://localhost:8333",
@@ -23,24 +24,26 @@ class _Operation(NamedTuple):
     responses: dict[str, Any]
 
 
-def see_that_it_is_described(method: str, path: str, status: int, body: Any) -> None:
-    """Fail where an operation answers what the description does not say of it."""
+def assert_is_described(method: str, path: str, status: int, body: Any) -> None:
+    """Fail if an operation answers with a status that OpenAPI does not list, or with a failure that is no problem."""
     for operation in _operations().get(method, ()):
         if operation.path.fullmatch(path):
-            listed = operation.responses.get(str(status))
-            assert listed is not None, f"{operation.name} answered {status}, which server/failures.py does not list"
-            code = body["code"] if status >= 400 else ""
-            assert code in listed["description"], f"{operation.name}: server/failures.py does not list {code}"
+            if status < 400:
+                assert str(status) in operation.responses, f"{operation.name} answered {status}, not in OpenAPI"
+            else:
+                assert "default" in operation.responses, f"{operation.name} describes no failures"
+                problem = ProblemDocument.model_validate(body)
+                assert status == problem.status == ERRORS[problem.code].status, f"{operation.name}: {body}"
             return
 
 
 @cache
 def _operations() -> dict[str, Sequence[_Operation]]:
-    found: dict[str, list[_Operation]] = {}
+    operations: dict[str, list[_Operation]] = {}
     paths = create_app(Settings.model_validate(_SETTINGS)).openapi()["paths"]
-    for path in sorted(paths, key=lambda path: path.count("{")):  # what is written out goes first
+    for path in sorted(paths, key=lambda path: path.count("{")):  # literal paths win over templates
         pattern = re.compile(re.sub(r"\{[^}]+\}", "[^/]+", path))
-        for method, told in paths[path].items():
-            row = _Operation(pattern, told["operationId"], told["responses"])
-            found.setdefault(method.upper(), []).append(row)
-    return dict(found)
+        for method, operation in paths[path].items():
+            row = _Operation(pattern, operation["operationId"], operation["responses"])
+            operations.setdefault(method.upper(), []).append(row)
+    return dict(operations)
