@@ -4,27 +4,24 @@ import datetime
 import uuid
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.names import Name
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.contract.wire import Request, Response
 
 
-class GroupCreate(BaseModel):
+class GroupCreate(Request):
     """A group to make; whoever makes it is its first member and editor."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name
 
 
-class GroupUpdate(BaseModel):
+class GroupUpdate(Request):
     """A group's new name."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name
 
@@ -33,15 +30,13 @@ def _group_etag(said: dict[str, Any]) -> str:
     return etag_of("group", said["id"], said["name"])
 
 
-class GroupRead(BaseModel):
+class GroupRead(Response):
     """A group. Members whose time is over, or who left, do not count.
 
     `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
     settings say of an affiliation group. `etag` names the group as its editors last named it: given back with a
     change, that is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -57,10 +52,8 @@ class GroupRead(BaseModel):
     etag: ETag = Field(default_factory=_group_etag)
 
 
-class MemberSet(BaseModel):
+class MemberSet(Request):
     """How somebody is in a group: with a say in who else is, and until when; without `expires_at` there is no end."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     is_editor: bool = False
     expires_at: Expiry | None = None
@@ -71,14 +64,12 @@ def _member_etag(said: dict[str, Any]) -> str:
     return etag_of("member", said["person"].id, said["is_editor"], end and end.timestamp())
 
 
-class MemberRead(BaseModel):
+class MemberRead(Response):
     """Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
 
     `is_active`: neither has their time ended, nor did they leave. `etag` names how and until when they are in it:
     given back with a change, that is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef
     emails: list[str]
