@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from kleinkram.client import connect
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 from tests.system import behind
 from tests.system.house import House
 
@@ -22,10 +22,10 @@ def _harm(house: House, bodies: dict[str, bytes]) -> None:
     keys = dict(behind.sql(house, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
     altered = bodies["altered.bin"]
 
-    async def do(site: Site) -> None:
-        await site.storage.delete(keys["gone.bin"])
-        await site.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
-        await site.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+    async def do(context: AppContext) -> None:
+        await context.storage.delete(keys["gone.bin"])
+        await context.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await context.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
     behind.on_site(house, do)
 

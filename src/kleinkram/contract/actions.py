@@ -11,15 +11,16 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.amounts import read_duration, read_size
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
+from kleinkram.contract.wire import Request, Response
 
 MAX_SCRIPT_CHARACTERS = 500_000
 MAX_PARAMETERS = 100
@@ -44,10 +45,8 @@ class ParameterType(str, enum.Enum):
     topic = "topic"
 
 
-class Parameter(BaseModel):
+class Parameter(Request):
     """What an action can be told. Without default it must be. `minimum` and `maximum` are inclusive."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: ParameterName
     type: ParameterType
@@ -127,13 +126,11 @@ class Network(str, enum.Enum):
     open = "open"
 
 
-class Inputs(BaseModel):
+class Inputs(Request):
     """Which files of a mission a run gets: those of which the path, a topic and a message type match.
 
     Globs as in filters; an empty list matches all. By default, all files.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     paths: Globs = []
     topics: Globs = []
@@ -154,13 +151,13 @@ def _whole(amount: Fraction) -> int:
     return int(amount)
 
 
-class Resources(BaseModel):
+class Resources(Request):
     """What a run may use at most, and what a runner sets aside for it. In manifests also as `memory: 4GB`, `time: 30m`.
 
     `disk_bytes` is for `/out` and `/tmp` together.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True)
+    model_config = ConfigDict(validate_by_name=True)
 
     cores: Annotated[float, Field(gt=0, le=1024)] = 1
     memory_bytes: Annotated[
@@ -186,15 +183,13 @@ class ParametersWrong(ValueError):
         self.problems = problems
 
 
-class ActionDefinition(BaseModel):
+class ActionDefinition(Request):
     """What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
 
     `command` is a list that nobody splits; without it the image's own is run. A script is started with Python, and its
     `dependencies` (PEP 508) must be there: on the stock image, or on the image that it names.
     `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name
     description: Annotated[str, AfterValidator(check_text), Field(max_length=10_000)] = ""
@@ -246,39 +241,31 @@ class ActionDefinition(BaseModel):
         return values
 
 
-class ActionCreate(BaseModel):
+class ActionCreate(Request):
     """An action to publish, as its first version: in a project, or without one, for the whole lab."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     project_id: uuid.UUID | None = None
     definition: ActionDefinition
 
 
-class VersionCreate(BaseModel):
+class VersionCreate(Request):
     """A further version of an action; its name stays."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     definition: ActionDefinition
 
 
-class ActionUpdate(BaseModel):
+class ActionUpdate(Request):
     """What to change of an action. An archived one is not listed and starts no new runs; its runs stay."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     archived: bool
 
 
-class ActionVersionRead(BaseModel):
+class ActionVersionRead(Response):
     """One version of an action, which never changes.
 
     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
     before, and for a script on the stock image.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     number: Annotated[int, Field(ge=1)]
@@ -288,18 +275,16 @@ class ActionVersionRead(BaseModel):
     created_by: PersonRef
 
 
-def _edition(said: dict[str, Any]) -> str:
-    return edition_of("action", said["id"], said["latest"].number, said["archived"])
+def _etag(said: dict[str, Any]) -> str:
+    return etag_of("action", said["id"], said["latest"].number, said["archived"])
 
 
-class ActionRead(BaseModel):
+class ActionRead(Response):
     """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
 
-    `edition` names its latest version and whether it is archived: given back with a change or a further version, that
+    `etag` names its latest version and whether it is archived: given back with a change or a further version, that
     is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -310,13 +295,11 @@ class ActionRead(BaseModel):
     created_at: datetime.datetime
     created_by: PersonRef
     may_change: bool
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
-class ActionFilter(BaseModel):
+class ActionFilter(Request):
     """Which actions are wanted. `name` may be a glob; `project_id`: those of a project and the whole lab's."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Term | None = None
     project_id: uuid.UUID | None = None

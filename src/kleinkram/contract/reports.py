@@ -6,11 +6,12 @@
 import enum
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.metadata import GivenMetadata
 from kleinkram.contract.names import FilePath, check_text
+from kleinkram.contract.wire import Request
 
 MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000
@@ -35,10 +36,8 @@ class Severity(str, enum.Enum):
     error = "error"
 
 
-class Finding(BaseModel):
+class Finding(Request):
     """Something that a run noticed. `file` is a path of its inputs; times are log times, in ns since 1970."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     severity: Severity
     code: Code
@@ -48,10 +47,8 @@ class Finding(BaseModel):
     time_ns: LogTime | None = None
 
 
-class Metric(BaseModel):
+class Metric(Request):
     """A number that a run found. One of a name and a file: a later one takes the place of an earlier."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Code
     value: FiniteFloat
@@ -59,29 +56,23 @@ class Metric(BaseModel):
     file: FilePath | None = None
 
 
-class Preview(BaseModel):
+class Preview(Request):
     """A picture (PNG, JPEG, SVG), a table (CSV) or a track (GeoJSON) among the artifacts, to be shown with the run."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: FilePath
     title: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class PutBack(BaseModel):
+class PutBack(Request):
     """An artifact that becomes a file of the mission, at `to`, made from the inputs `made_from` (none named: all)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: FilePath
     to: FilePath
     made_from: Annotated[list[FilePath], Field(max_length=10_000)] = []
 
 
-class Report(BaseModel):
+class Report(Request):
     """All that a run says. `metadata` is proposed to people, never taken over by itself."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
@@ -90,19 +81,15 @@ class Report(BaseModel):
     put_back: Annotated[list[PutBack], Field(max_length=10_000)] = []
 
 
-class Progress(BaseModel):
+class Progress(Request):
     """How far a run is: `fraction` from 0 to 1, and what it is at."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fraction: Annotated[float, Field(ge=0, le=1)]
     message: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class Event(BaseModel):
+class Event(Request):
     """One thing that a run says while it lasts: exactly one of these is there."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     finding: Finding | None = None
     metric: Metric | None = None

@@ -8,7 +8,7 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kleinkram.contract.actions import Network, ParameterValues, Resources
 from kleinkram.contract.names import Label
@@ -16,6 +16,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
 from kleinkram.contract.runs import ActionRef, EndReason, RunState, Sample, Usage
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
+from kleinkram.contract.wire import Request, Response
 
 # A run is held for so long after its runner was last heard of, by the database's clock.
 LEASE_S = 60
@@ -36,10 +37,8 @@ class Isolation(str, enum.Enum):
     none = "none"
 
 
-class Abilities(BaseModel):
+class Abilities(Response):
     """What an executor can do. `images`: run container images, not only scripts."""
-
-    model_config = ConfigDict(frozen=True)
 
     executor: Annotated[str, Field(pattern=r"^[a-z]{1,32}$")]
     isolation: Isolation
@@ -50,10 +49,8 @@ class Abilities(BaseModel):
     bounds_disk: bool
 
 
-class Capacity(BaseModel):
+class Capacity(Response):
     """What a machine has, or has free, for runs."""
-
-    model_config = ConfigDict(frozen=True)
 
     cores: Annotated[float, Field(ge=0, le=100_000)]
     memory_bytes: Annotated[int, Field(ge=0, lt=2**63)]
@@ -61,13 +58,11 @@ class Capacity(BaseModel):
     gpus: Annotated[int, Field(ge=0, le=1000)]
 
 
-class RunnerHello(BaseModel):
+class RunnerHello(Request):
     """A runner says what it is, whenever it starts. `id` is its own for good: it keeps it in its folder.
 
     `stock_image` is the digest of the image that it runs scripts on; null where it has none.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: uuid.UUID
     name: Label
@@ -78,13 +73,11 @@ class RunnerHello(BaseModel):
     version: Annotated[str, Field(max_length=64)]
 
 
-class RunnerToken(BaseModel):
+class RunnerToken(Response):
     """The token of a runner, and what it is limited to: runs on these projects, that ask for one of these labels.
 
     `projects` and `labels` are null where it is not limited by them.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -93,10 +86,8 @@ class RunnerToken(BaseModel):
     labels: list[str] | None
 
 
-class RunnerRead(BaseModel):
+class RunnerRead(Response):
     """A runner, as admins see it. `token` is null until it says hello again after an update of the server."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -111,34 +102,28 @@ class RunnerRead(BaseModel):
     token: RunnerToken | None = None
 
 
-class ClaimAsk(BaseModel):
+class ClaimAsk(Request):
     """What is free for a further run, and how long to wait for one. `held`: the runs that the runner knows it has."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     free: Capacity
     wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S)] = 0
     held: Annotated[list[uuid.UUID], Field(max_length=10_000)] = []
 
 
-class ClaimInput(BaseModel):
+class ClaimInput(Response):
     """A file that a run is given."""
-
-    model_config = ConfigDict(frozen=True)
 
     path: str
     size_bytes: int
     sha256: Sha256
 
 
-class Claim(BaseModel):
+class Claim(Response):
     """A run that is this runner's until its lease ends.
 
     `image_digest` is what the image's name was first resolved to, by whichever runner: no other may be run under it.
     `token` is there unless the network is `none`: it is the run's own, and good as long as the run lasts.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     run_id: uuid.UUID
     attempt: Attempt
@@ -158,18 +143,14 @@ class Claim(BaseModel):
     lease_s: float
 
 
-class Claimed(BaseModel):
+class Claimed(Response):
     """The answer to a claim; null where nothing came that fits."""
-
-    model_config = ConfigDict(frozen=True)
 
     claim: Claim | None
 
 
-class Beat(BaseModel):
+class Beat(Request):
     """What one run is at. `started`: its container was. Samples are those since the last beat."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     run_id: uuid.UUID
     attempt: Attempt
@@ -180,10 +161,8 @@ class Beat(BaseModel):
     samples: Annotated[list[Sample], Field(max_length=100)] = []
 
 
-class Beats(BaseModel):
+class Beats(Request):
     """What all runs of a runner are at."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     runs: Annotated[list[Beat], Field(max_length=1000)]
 
@@ -196,47 +175,37 @@ class Verdict(str, enum.Enum):
     gone = "gone"
 
 
-class BeatAnswer(BaseModel):
+class BeatAnswer(Response):
     """What becomes of one run."""
-
-    model_config = ConfigDict(frozen=True)
 
     run_id: uuid.UUID
     attempt: Attempt
     verdict: Verdict
 
 
-class BeatAnswers(BaseModel):
+class BeatAnswers(Response):
     """What becomes of each, and how long they are held from now on."""
-
-    model_config = ConfigDict(frozen=True)
 
     runs: list[BeatAnswer]
     lease_s: float
 
 
-class InputsAsk(BaseModel):
+class InputsAsk(Request):
     """Inputs to be fetched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     attempt: Attempt
     paths: Annotated[list[Annotated[str, Field(max_length=1024)]], Field(min_length=1, max_length=1000)]
 
 
-class InputUrls(BaseModel):
+class InputUrls(Response):
     """Where to GET each, in the order asked, before `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
 
     urls: list[str]
     expires_at: datetime.datetime
 
 
-class SegmentAsk(BaseModel):
+class SegmentAsk(Request):
     """A piece of the log about to be stored: where it begins in the log, its size, and its checksums."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     attempt: Attempt
     offset: Annotated[int, Field(ge=0, lt=2**40)]
@@ -246,38 +215,30 @@ class SegmentAsk(BaseModel):
     md5: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 
 
-class SegmentPut(BaseModel):
+class SegmentPut(Response):
     """PUT the piece's bytes to `url` with exactly these headers, then say so."""
-
-    model_config = ConfigDict(frozen=True)
 
     url: str
     headers: dict[str, str]
 
 
-class SegmentKept(BaseModel):
+class SegmentKept(Request):
     """A piece of the log that was stored: from now on people see it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     attempt: Attempt
     offset: Annotated[int, Field(ge=0, lt=2**40)]
     size_bytes: Annotated[int, Field(ge=1, le=8 * 2**20)]
 
 
-class ArtifactsBegin(BaseModel):
+class ArtifactsBegin(Request):
     """Artifacts to upload, and the whole log under `LOG_PATH`: by the same protocol as files of a mission."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     attempt: Attempt
     files: Annotated[list[UploadFile], Field(min_length=1, max_length=200)]
 
 
-class RunFinish(BaseModel):
+class RunFinish(Request):
     """How a run ended, once all that it left is uploaded. Said again, the same answer comes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     attempt: Attempt
     reason: EndReason
@@ -289,9 +250,7 @@ class RunFinish(BaseModel):
     samples: Annotated[list[Sample], Field(max_length=100)] = []
 
 
-class RunFinished(BaseModel):
+class RunFinished(Response):
     """What became of the run."""
-
-    model_config = ConfigDict(frozen=True)
 
     state: RunState

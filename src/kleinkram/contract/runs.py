@@ -5,7 +5,7 @@ import enum
 import uuid
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
@@ -16,6 +16,7 @@ from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
+from kleinkram.contract.wire import Request, Response
 
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000
@@ -57,32 +58,26 @@ class EndReason(str, enum.Enum):
     lost = "lost"
 
 
-class ActionRef(BaseModel):
+class ActionRef(Response):
     """An action in one version; id and version are null where it is run from a folder that nobody has published."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID | None = None
     name: str
     version: Annotated[int, Field(ge=1)] | None
 
 
-class Cause(BaseModel):
+class Cause(Response):
     """Why a run is: who asked for it, and of which run it is another try."""
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef | None = None
     retry_of_id: uuid.UUID | None = None
 
 
-class RunContext(BaseModel):
+class RunContext(Response):
     """What `/in/mission.json` says: the mission, the files that the run gets with what is known of them, and its task.
 
     `run_id` is null where no server knows of the run. `topics` are of the files, `recordings` of the mission.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     contract: Literal[1] = 1
     run_id: uuid.UUID | None
@@ -95,14 +90,12 @@ class RunContext(BaseModel):
     recordings: list[RecordingRead]
 
 
-class RunsCreate(BaseModel):
+class RunsCreate(Request):
     """An action to run on each of some missions: a published one by its id, in its latest version unless another is
     named; or as a definition, which is then run without being published.
 
     Results of an earlier good run of the very same (version, image, parameters, inputs) are reused unless `force`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
     action_id: uuid.UUID | None = None
@@ -120,10 +113,8 @@ class RunsCreate(BaseModel):
         return self
 
 
-class Usage(BaseModel):
+class Usage(Response):
     """What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen."""
-
-    model_config = ConfigDict(frozen=True)
 
     cpu_s: Annotated[float, Field(ge=0)]
     memory_bytes: Annotated[int, Field(ge=0)]
@@ -132,16 +123,14 @@ class Usage(BaseModel):
     written_bytes: Annotated[int, Field(ge=0)]
 
 
-class Sample(BaseModel):
+class Sample(Response):
     """What a run used at some moment, `at_s` after its container was started."""
-
-    model_config = ConfigDict(frozen=True)
 
     at_s: Annotated[float, Field(ge=0)]
     usage: Usage
 
 
-class RunRead(BaseModel):
+class RunRead(Response):
     """A run.
 
     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
@@ -149,8 +138,6 @@ class RunRead(BaseModel):
     `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
     `may_cancel`: the asker may, and it is not over.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     mission: MissionRef
@@ -197,40 +184,32 @@ class RunDetail(RunRead):
     samples: list[Sample]
 
 
-class RunMade(BaseModel):
+class RunMade(Response):
     """A run that was made; one that reuses results is over already."""
-
-    model_config = ConfigDict(frozen=True)
 
     outcome: Literal["made"] = "made"
     run: RunRead
 
 
-class RunRefused(BaseModel):
+class RunRefused(Response):
     """Why no run was made on a mission; those on the others were."""
-
-    model_config = ConfigDict(frozen=True)
 
     outcome: Literal["refused"] = "refused"
     mission_id: uuid.UUID
     problem: ProblemDocument
 
 
-class RunsMade(BaseModel):
+class RunsMade(Response):
     """One outcome a mission, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[Annotated[RunMade | RunRefused, Field(discriminator="outcome")]]
 
 
-class RunFilter(BaseModel):
+class RunFilter(Request):
     """Which runs are wanted: those that satisfy all that is given. `action` may be a glob of its name.
 
     Of several projects, or several missions, any may hold.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     project_id: uuid.UUID | None = None
     project_ids: Ids = []
@@ -243,10 +222,8 @@ class RunFilter(BaseModel):
     mine: bool = False
 
 
-class RunInput(BaseModel):
+class RunInput(Response):
     """A file that a run was given, as it was then. `file_id` is null where it is no longer there."""
-
-    model_config = ConfigDict(frozen=True)
 
     path: str
     size_bytes: int
@@ -254,10 +231,8 @@ class RunInput(BaseModel):
     file_id: uuid.UUID | None
 
 
-class ArtifactRead(BaseModel):
+class ArtifactRead(Response):
     """A file that a run left. `file_id` is that of the mission's file that was made of it, where one was."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     run_id: uuid.UUID
@@ -267,36 +242,28 @@ class ArtifactRead(BaseModel):
     file_id: uuid.UUID | None
 
 
-class ArtifactUrl(BaseModel):
+class ArtifactUrl(Response):
     """Where to GET an artifact, before `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
 
     artifact: ArtifactRead
     url: str
     expires_at: datetime.datetime
 
 
-class ArtifactsRequest(BaseModel):
+class ArtifactsRequest(Request):
     """Artifacts of a run to fetch."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
 
 
-class ArtifactUrls(BaseModel):
+class ArtifactUrls(Response):
     """Where to fetch them, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[ArtifactUrl]
 
 
-class FindingRead(BaseModel):
+class FindingRead(Response):
     """A finding, and the run that said it."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: int
     run_id: uuid.UUID
@@ -305,10 +272,8 @@ class FindingRead(BaseModel):
     finding: Finding
 
 
-class MetricRead(BaseModel):
+class MetricRead(Response):
     """A metric, and the run that said it."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: int
     run_id: uuid.UUID
@@ -317,10 +282,8 @@ class MetricRead(BaseModel):
     metric: Metric
 
 
-class SayingFilter(BaseModel):
+class SayingFilter(Request):
     """Which findings or metrics are wanted. `code` (a metric's name) may be a glob; any of several places may hold."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     run_id: uuid.UUID | None = None
     mission_id: uuid.UUID | None = None
@@ -331,13 +294,11 @@ class SayingFilter(BaseModel):
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
 
 
-class LogPiece(BaseModel):
+class LogPiece(Response):
     """A piece of what a run wrote, from the byte `offset` on; the next one begins at `next_offset`.
 
     It ends with a whole line, unless the log ends or a line is very long. `is_over`: nothing comes after `next_offset`.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     attempt: int
     offset: int
@@ -346,20 +307,16 @@ class LogPiece(BaseModel):
     is_over: bool
 
 
-class LineageFile(BaseModel):
+class LineageFile(Response):
     """A file in a lineage. `id` is null where it is no longer there, or not for the asker."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID | None
     path: str
     sha256: str
 
 
-class LineageRun(BaseModel):
+class LineageRun(Response):
     """A run in a lineage: what it was given, and the files of the mission and the artifacts that it made."""
-
-    model_config = ConfigDict(frozen=True)
 
     run: RunRead
     inputs: list[LineageFile]
@@ -367,10 +324,8 @@ class LineageRun(BaseModel):
     artifact_count: int
 
 
-class LineageRead(BaseModel):
+class LineageRead(Response):
     """Where a file comes from and what came from it, one step each way; `truncated` where more runs read it."""
-
-    model_config = ConfigDict(frozen=True)
 
     file: LineageFile
     made_by: LineageRun | None

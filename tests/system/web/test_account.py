@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import urllib3
 
-from kleinkram.server.jobs.context import ATTEMPTS
+from kleinkram.server.jobs.job_context import ATTEMPTS
 from tests.system.behind import sql
 from tests.system.house import House
 from tests.system.web.conftest import Act

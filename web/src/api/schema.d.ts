@@ -44,7 +44,7 @@ export interface paths {
         head?: never;
         /**
          * Update Action
-         * @description Archive an action, or take it back. With If-Match, only where it is still of that edition.
+         * @description Archive an action, or take it back. With If-Match, only where it is still of that ETag.
          */
         patch: operations["update_action"];
         trace?: never;
@@ -64,7 +64,7 @@ export interface paths {
         put?: never;
         /**
          * Publish Action Version
-         * @description Publish a further version of an action. With If-Match, only where it is still of that edition.
+         * @description Publish a further version of an action. With If-Match, only where it is still of that ETag.
          */
         post: operations["publish_action_version"];
         delete?: never;
@@ -917,7 +917,7 @@ export interface paths {
         head?: never;
         /**
          * Update Group
-         * @description Rename a group. With If-Match, only where it is still of that edition.
+         * @description Rename a group. With If-Match, only where it is still of that ETag.
          */
         patch: operations["update_group"];
         trace?: never;
@@ -954,7 +954,7 @@ export interface paths {
          * Set Group Member
          * @description Put somebody into a group, or change how and until when they are in it.
          *
-         *     With If-Match, only where they are in it, and their membership is still of that edition.
+         *     With If-Match, only where they are in it, and their membership is still of that ETag.
          */
         put: operations["set_group_member"];
         post?: never;
@@ -2619,7 +2619,7 @@ export interface components {
          * ActionRead
          * @description An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
          *
-         *     `edition` names its latest version and whether it is archived: given back with a change or a further version, that
+         *     `etag` names its latest version and whether it is archived: given back with a change or a further version, that
          *     is refused where somebody else came first.
          */
         ActionRead: {
@@ -2633,8 +2633,8 @@ export interface components {
             created_by: components["schemas"]["PersonRef"];
             /** Description */
             description: string;
-            /** Edition */
-            edition?: string;
+            /** Etag */
+            etag?: string;
             /**
              * Id
              * Format: uuid
@@ -3395,7 +3395,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edited_meanwhile" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3643,7 +3643,7 @@ export interface components {
          *
          *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `edition` names
+         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
          *     the path and labels that people gave it last, as with missions.
          */
         FileRead: {
@@ -3662,10 +3662,10 @@ export interface components {
             /** Damaged At */
             damaged_at?: string | null;
             depth: components["schemas"]["ReadDepth"] | null;
-            /** Edition */
-            edition?: string;
             /** End Ns */
             end_ns: number | null;
+            /** Etag */
+            etag?: string;
             /** Facts */
             facts: components["schemas"]["FileFact"][];
             /** Format */
@@ -3860,7 +3860,7 @@ export interface components {
          * @description A group. Members whose time is over, or who left, do not count.
          *
          *     `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
-         *     settings say of an affiliation group. `edition` names the group as its editors last named it: given back with a
+         *     settings say of an affiliation group. `etag` names the group as its editors last named it: given back with a
          *     change, that is refused where somebody else came first.
          */
         GroupRead: {
@@ -3873,8 +3873,8 @@ export interface components {
             default_right: components["schemas"]["Right"] | null;
             /** Domains */
             domains: string[];
-            /** Edition */
-            edition?: string;
+            /** Etag */
+            etag?: string;
             /** Expires At */
             expires_at: string | null;
             /**
@@ -4200,7 +4200,7 @@ export interface components {
          * MemberRead
          * @description Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
          *
-         *     `is_active`: neither has their time ended, nor did they leave. `edition` names how and until when they are in it:
+         *     `is_active`: neither has their time ended, nor did they leave. `etag` names how and until when they are in it:
          *     given back with a change, that is refused where somebody else came first.
          */
         MemberRead: {
@@ -4210,10 +4210,10 @@ export interface components {
              */
             added_at: string;
             added_by: components["schemas"]["PersonRef"] | null;
-            /** Edition */
-            edition?: string;
             /** Emails */
             emails: string[];
+            /** Etag */
+            etag?: string;
             /** Expires At */
             expires_at: string | null;
             /** Is Active */
@@ -4357,7 +4357,7 @@ export interface components {
          *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
          *     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
          *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-         *     `edition` names what people edited last: given back with a change, that is refused where somebody else came first.
+         *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
          */
         MissionRead: {
             /** Completed At */
@@ -4368,10 +4368,10 @@ export interface components {
              */
             created_at: string;
             created_by: components["schemas"]["PersonRef"];
-            /** Edition */
-            edition?: string;
             /** End Ns */
             end_ns: number | null;
+            /** Etag */
+            etag?: string;
             /** File Count */
             file_count: number;
             /**
@@ -5051,7 +5051,7 @@ export interface components {
          * ProjectRead
          * @description A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
          *
-         *     What is used, which the quotas bound, is the files and the uploads under way. `edition` names what people edited
+         *     What is used, which the quotas bound, is the files and the uploads under way. `etag` names what people edited
          *     last, as with missions.
          */
         ProjectRead: {
@@ -5067,8 +5067,8 @@ export interface components {
             description: string;
             /** Duration Ns */
             duration_ns: number;
-            /** Edition */
-            edition?: string;
+            /** Etag */
+            etag?: string;
             /** File Count */
             file_count: number;
             /**
@@ -6840,7 +6840,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -6912,7 +6912,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -8119,7 +8119,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -8486,7 +8486,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -8559,7 +8559,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -9120,7 +9120,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {
@@ -9983,7 +9983,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The `edition` that was looked at, in quotes. */
+                /** @description The `etag` of the object that was edited, in quotes. */
                 "If-Match"?: string | null;
             };
             path: {

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from string import Formatter
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict
+from kleinkram.contract.wire import Response
 
 
 class ErrorCode(str, enum.Enum):
@@ -37,7 +37,7 @@ class ErrorCode(str, enum.Enum):
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
-    edited_meanwhile = "edited_meanwhile"
+    edit_conflict = "edit_conflict"
     invalid_request = "invalid_request"
     invalid_query = "invalid_query"
     invalid_cursor = "invalid_cursor"
@@ -62,10 +62,8 @@ class ErrorCode(str, enum.Enum):
     internal_error = "internal_error"
 
 
-class FieldProblem(BaseModel):
+class FieldProblem(Response):
     """One thing wrong with one field of a request, a metadata document or a field definition."""
-
-    model_config = ConfigDict(frozen=True)
 
     field: str
     message: str

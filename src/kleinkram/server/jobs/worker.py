@@ -20,6 +20,7 @@ from procrastinate.jobs import Status
 import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import Attempts, keep_why
@@ -31,7 +32,6 @@ from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
 from kleinkram.server.uploads import jobs as _upload_jobs
 
@@ -116,7 +116,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
         courtesy = Courtesy(database, settings)
         attempts = Attempts()
         given: dict[str, object] = {
-            "site": Site(database, storage, settings),
+            "site": AppContext(database, storage, settings),
             "readers": readers,
             "courtesy": courtesy,
             "understanding": Understanding(readers),

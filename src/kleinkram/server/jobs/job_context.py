@@ -4,8 +4,8 @@ from typing import TypeVar
 
 from procrastinate import JobContext, RetryStrategy
 
+from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.site import Site
 
 T = TypeVar("T")
 ATTEMPTS = 5
@@ -13,19 +13,19 @@ ATTEMPTS = 5
 PATIENTLY = RetryStrategy(max_attempts=ATTEMPTS, exponential_wait=4)
 
 
-def given(context: JobContext, name: str, kind: type[T]) -> T:
+def given(job_context: JobContext, name: str, kind: type[T]) -> T:
     """Return one of the things that the worker gave its jobs to work with."""
-    thing = context.additional_context[name]
+    thing = job_context.additional_context[name]
     if not isinstance(thing, kind):
         raise TypeError(f"the worker was started without its {name}")
     return thing
 
 
-def site_of(context: JobContext) -> Site:
+def app_context(job_context: JobContext) -> AppContext:
     """Return the job's way to database and store."""
-    return given(context, "site", Site)
+    return given(job_context, "site", AppContext)
 
 
-def courtesy_of(context: JobContext) -> Courtesy:
+def courtesy_of(job_context: JobContext) -> Courtesy:
     """Return what makes the job wait while uploads come in."""
-    return given(context, "courtesy", Courtesy)
+    return given(job_context, "courtesy", Courtesy)

@@ -1,4 +1,4 @@
-"""What a flow over several transactions works with: database, store and settings of one process."""
+"""What services need across transactions: the database, the object store and the settings of one process."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from kleinkram.server.storage import Storage
 
 
 @dataclass(frozen=True)
-class Site:
-    """One process's way to everything it may touch."""
+class AppContext:
+    """The shared resources of one process."""
 
     database: Database
     storage: Storage

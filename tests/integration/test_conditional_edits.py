@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.client import connect
-from kleinkram.contract.errors import EditedMeanwhile
+from kleinkram.contract.errors import EditConflict
 from tests.integration.people import person
 from tests.integration.races import racing
 from tests.integration.running import Answer, Api
@@ -61,7 +61,7 @@ def _definition(script: str) -> dict[str, str]:
 
 
 def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
-    return api.call("PATCH", f"/{noun}/{seen['id']}", body, headers={"If-Match": f'"{seen["edition"]}"'})
+    return api.call("PATCH", f"/{noun}/{seen['id']}", body, headers={"If-Match": f'"{seen["etag"]}"'})
 
 
 @pytest.mark.parametrize(
@@ -74,47 +74,47 @@ def test_whoever_comes_second_is_told(api: Api, made: dict[str, Any], noun: str,
     with racing(api, _HOLD[noun], seen["id"]) as send:
         both = [send(_change, api, noun, seen, body) for body in (first, second)]
     kept = both[0].result(30).ok()
-    problem = both[1].result(30).refused(412, "edited_meanwhile")
-    assert problem["edition"] == kept["edition"] != seen["edition"]
+    problem = both[1].result(30).refused(412, "edit_conflict")
+    assert problem["etag"] == kept["etag"] != seen["etag"]
     assert "changed by somebody else" in problem["detail"]
     now = api.get(f"/{noun}/{seen['id']}").ok()
     assert now == kept
-    assert _change(api, noun, now, second).ok()["edition"] != now["edition"], "having looked again, they may"
+    assert _change(api, noun, now, second).ok()["etag"] != now["etag"], "having looked again, they may"
 
 
 @pytest.mark.parametrize("noun", _EDITS)
 def test_what_is_so_already_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
     seen, body = made[noun], _EDITS[noun][0][0]
     kept = _change(api, noun, seen, body).ok()
-    assert _change(api, noun, seen, body).ok()["edition"] == kept["edition"], "an answer was lost, and asked for again"
+    assert _change(api, noun, seen, body).ok()["etag"] == kept["etag"], "an answer was lost, and asked for again"
 
 
 def test_of_two_who_publish_the_next_version_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
     seen = made["actions"]
 
-    def publish(script: str, edition: str) -> Answer:
-        body, headers = {"definition": _definition(script)}, {"If-Match": f'"{edition}"'}
+    def publish(script: str, etag: str) -> Answer:
+        body, headers = {"definition": _definition(script)}, {"If-Match": f'"{etag}"'}
         return api.call("POST", f"/actions/{seen['id']}/versions", body, headers=headers)
 
     with racing(api, _HOLD["actions"], seen["id"]) as send:
-        both = [send(publish, script, seen["edition"]) for script in ("2", "3")]
+        both = [send(publish, script, seen["etag"]) for script in ("2", "3")]
     kept = both[0].result(30).ok(201)
-    assert both[1].result(30).refused(412, "edited_meanwhile")["edition"] == kept["edition"] != seen["edition"]
-    assert publish("2", seen["edition"]).ok(201) == kept, "an answer was lost, and asked for again"
-    assert publish("3", kept["edition"]).ok(201)["latest"]["number"] == 3
+    assert both[1].result(30).refused(412, "edit_conflict")["etag"] == kept["etag"] != seen["etag"]
+    assert publish("2", seen["etag"]).ok(201) == kept, "an answer was lost, and asked for again"
+    assert publish("3", kept["etag"]).ok(201)["latest"]["number"] == 3
 
 
 def test_of_two_who_say_how_somebody_is_in_a_group_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
     path = f"/groups/{made['groups']['id']}/members/{person(api).id}"
     put: Callable[[Any, Any], Answer] = lambda body, seen: api.call(  # noqa: E731  (short)
-        "PUT", path, body, headers={"If-Match": f'"{seen["edition"]}"'} if seen else None
+        "PUT", path, body, headers={"If-Match": f'"{seen["etag"]}"'} if seen else None
     )
     seen = put({}, None).ok()
     put({"is_editor": True}, seen).ok()
     until = {"expires_at": "2100-01-01T00:00:00Z"}
-    problem = put(until, seen).refused(412, "edited_meanwhile")
+    problem = put(until, seen).refused(412, "edit_conflict")
     assert put(until, problem).ok()["is_editor"] is False, "having looked again, they may"
-    assert put({"expires_at": "2100-01-01T01:00:00+01:00"}, seen).ok()["edition"] != seen["edition"], "it is so already"
+    assert put({"expires_at": "2100-01-01T01:00:00+01:00"}, seen).ok()["etag"] != seen["etag"], "it is so already"
     api.delete(path).ok(204)
     put({}, seen).refused(404, "not_found")
 
@@ -130,7 +130,7 @@ def test_what_jobs_find_out_is_no_edit(api: Api, made: dict[str, Any]) -> None:
 )
 def test_if_match_is_read_as_http_says(api: Api, made: dict[str, Any], header: str, status: int) -> None:
     seen = made["missions"]
-    headers = {"If-Match": header.format(seen["edition"])}
+    headers = {"If-Match": header.format(seen["etag"])}
     assert api.call("PATCH", f"/missions/{seen['id']}", {"notes": "x"}, headers=headers).status == status
     assert api.patch(f"/missions/{seen['id']}", {"notes": "y"}).ok()["notes"] == "y", "who names none is not asked"
 
@@ -138,9 +138,9 @@ def test_if_match_is_read_as_http_says(api: Api, made: dict[str, Any], header: s
 def test_the_sdk_raises_it_by_its_name(api: Api, made: dict[str, Any]) -> None:
     with connect(api.url, api.token) as client:
         seen = client.missions.get(made["missions"]["id"])
-        client.missions.update(seen.id, if_edition=seen.edition, notes="mine")
-        with pytest.raises(EditedMeanwhile, match="changed by somebody else"):
-            client.missions.update(seen.id, if_edition=seen.edition, notes="yours")
+        client.missions.update(seen.id, if_match=seen.etag, notes="mine")
+        with pytest.raises(EditConflict, match="changed by somebody else"):
+            client.missions.update(seen.id, if_match=seen.etag, notes="yours")
         assert client.missions.get(seen.id).notes == "mine"
 
 
@@ -151,8 +151,8 @@ def test_the_terminal_says_so_and_ends_with_conflict(
     monkeypatch.setenv("KLEINKRAM_TOKEN", str(api.token))
     seen = made["missions"]
     change: Callable[[str], Any] = lambda notes: CliRunner().invoke(  # noqa: E731  (short)
-        app, ["mission", "update", seen["id"], "--notes", notes, "--edition", seen["edition"]]
+        app, ["mission", "update", seen["id"], "--notes", notes, "--if-match", seen["etag"]]
     )
     assert change("mine").exit_code == 0
-    assert isinstance(change("yours").exception, EditedMeanwhile)
+    assert isinstance(change("yours").exception, EditConflict)
     assert api.get(f"/missions/{seen['id']}").ok()["notes"] == "mine"

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
-import { ifStill, ledTo } from "./editions";
+import { ifStill, ledTo } from "./etags";
 
-test("a change names the edition that was looked at", () => {
+test("a change names the etag that was looked at", () => {
   expect(ifStill("a0")).toEqual({ "If-Match": '"a0"' });
   expect(ifStill(undefined)).toEqual({});
 });
