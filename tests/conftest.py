@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.lacking import missing
+from tests.requirements import missing
 
 MakeCase = Callable[[str], Path]
 

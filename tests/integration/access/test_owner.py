@@ -7,9 +7,12 @@ import pytest
 
 from kleinkram.contract.secrets import is_whole
 from kleinkram.server.app import create_app
+<<<<<<< HEAD
 from kleinkram.server.people import local_owner as owner
+=======
+from tests.integration.api_server import Api
+>>>>>>> main
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 
 def _start_again(api: Api) -> str:
