@@ -7,11 +7,8 @@ import pytest
 
 from kleinkram.contract.secrets import is_whole
 from kleinkram.server.app import create_app
-<<<<<<< HEAD
 from kleinkram.server.people import local_owner as owner
-=======
 from tests.integration.api_server import Api
->>>>>>> main
 from tests.integration.conftest import StartApi
 
 
