@@ -50,7 +50,7 @@ test-all: setup
 
 soak: setup
 	@$(BIN)/python -m tests.requirements
-	@$(BIN)/python -m pytest -m soak -q --timeout=0
+	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
 check: setup
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
