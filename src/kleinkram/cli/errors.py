@@ -73,7 +73,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.WrongClient: ExitCode.usage,
     remote.AmbiguousName: ExitCode.conflict,
     remote.NameTaken: ExitCode.conflict,
-    remote.EditedMeanwhile: ExitCode.conflict,
+    remote.EditConflict: ExitCode.conflict,
     remote.InvalidRequest: ExitCode.usage,
     remote.InvalidQuery: ExitCode.usage,
     remote.InvalidCursor: ExitCode.usage,

@@ -6,7 +6,7 @@ const remedies: Readonly<Partial<Record<string, string>>> = {
   not_found: "It may have been moved or deleted, or you may not have been given access to it.",
   rate_limited: "Wait a moment, then try again.",
   name_taken: "Choose another name.",
-  edited_meanwhile: "What you typed is still here: copy what you want to keep, cancel, and look at it as it is now.",
+  edit_conflict: "What you typed is still here: copy what you want to keep, cancel, and look at it as it is now.",
   file_exists: "Choose another name, or delete the file that is there.",
   quota_exceeded: "Ask an admin for more room, or delete what is not needed.",
   metadata_invalid: "Correct the fields that are named, then try again.",

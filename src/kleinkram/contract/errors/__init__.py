@@ -18,7 +18,7 @@ from kleinkram.contract.errors.files import (
 from kleinkram.contract.errors.requests import (
     AmbiguousName,
     BodyTooLarge,
-    EditedMeanwhile,
+    EditConflict,
     FieldsInvalid,
     InvalidCursor,
     InvalidQuery,
@@ -71,7 +71,7 @@ __all__ = [
     "ChecksumMismatch",
     "CodeGone",
     "DatabaseUnavailable",
-    "EditedMeanwhile",
+    "EditConflict",
     "ErrorCode",
     "FieldProblem",
     "FieldsInvalid",

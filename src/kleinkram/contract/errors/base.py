@@ -37,7 +37,7 @@ class ErrorCode(str, enum.Enum):
     not_found = "not_found"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
-    edited_meanwhile = "edited_meanwhile"
+    edit_conflict = "edit_conflict"
     invalid_request = "invalid_request"
     invalid_query = "invalid_query"
     invalid_cursor = "invalid_cursor"

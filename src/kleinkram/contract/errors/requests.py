@@ -57,14 +57,14 @@ class NameTaken(KleinkramError):
 
 
 @dataclass(eq=False)
-class EditedMeanwhile(KleinkramError):
+class EditConflict(KleinkramError):
     """The {noun} {name!r} was changed by somebody else since you looked at it, so nothing of yours was kept. Look at it as it is now, then make your change again."""  # noqa: E501  one sentence
 
-    code = ErrorCode.edited_meanwhile
+    code = ErrorCode.edit_conflict
     status = 412
     noun: str
     name: str
-    edition: str
+    etag: str
 
 
 @dataclass(eq=False)

@@ -55,11 +55,11 @@ async def register_runner(hello: RunnerRegistration, db: Transaction, actor: Cur
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, asked: ClaimRequest, request: Request, site: CurrentSite, actor: CurrentActor
+    runner_id: uuid.UUID, asked: ClaimRequest, request: Request, context: CurrentSite, actor: CurrentActor
 ) -> ClaimReply:
     """Ask for a run that fits what is free, and wait for one."""
     mark_as_stream(request.scope)
-    return await service.claim(site, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
+    return await service.claim(context, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
 
 
 @router.post("/runners/{runner_id}/heartbeats", operation_id="send_heartbeats")
@@ -75,17 +75,17 @@ async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transact
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
-async def sign_inputs(run_id: uuid.UUID, asked: InputsRequest, site: CurrentSite, actor: CurrentActor) -> InputUrls:
+async def sign_inputs(run_id: uuid.UUID, asked: InputsRequest, context: CurrentSite, actor: CurrentActor) -> InputUrls:
     """Get where to read inputs."""
-    return await holding.sign_inputs(site, actor, run_id=run_id, asked=asked)
+    return await holding.sign_inputs(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks", operation_id="create_log_chunk")
 async def create_log_chunk(
-    run_id: uuid.UUID, asked: LogChunkCreate, site: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, asked: LogChunkCreate, context: CurrentSite, actor: CurrentActor
 ) -> LogChunkUpload:
     """Get where to store a piece of a log."""
-    return await holding.create_log_chunk(site, actor, run_id=run_id, asked=asked)
+    return await holding.create_log_chunk(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks/confirm", operation_id="confirm_log_chunk", status_code=204)
@@ -96,13 +96,13 @@ async def confirm_log_chunk(run_id: uuid.UUID, kept: LogChunkConfirm, db: Transa
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="create_artifact_uploads")
 async def begin_uploads_of_run(
-    run_id: uuid.UUID, body: ArtifactUploadsCreate, site: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, body: ArtifactUploadsCreate, context: CurrentSite, actor: CurrentActor
 ) -> UploadDecisions:
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         row = await holding.hold(db, actor, run_id, body.attempt)
-    await finish_cut_off_artifacts(site, actor, run_id=run_id, paths=[each.path for each in body.files])
-    return UploadDecisions(items=await begin_artifacts(site, actor, row=row, wanted=body.files))
+    await finish_cut_off_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, row=row, wanted=body.files))
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")

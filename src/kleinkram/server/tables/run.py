@@ -166,5 +166,5 @@ log_chunk = Table(
     # Null until the runner said that it is there.
     Column("kept_at", DateTime(timezone=True)),
     created_at_column(),
-    Index("ix_log_segment_run_id", "run_id", "attempt", "offset_bytes"),
+    Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),
 )

@@ -237,10 +237,10 @@ def _make_files_of_runs() -> None:
         sa.Column("size_bytes", sa.BigInteger(), nullable=False),
         sa.Column("kept_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("created_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
-        sa.ForeignKeyConstraint(["run_id"], ["run.id"], name=op.f("fk_log_segment_run_id_run"), ondelete="SET NULL"),
-        sa.PrimaryKeyConstraint("key", name=op.f("pk_log_segment")),
+        sa.ForeignKeyConstraint(["run_id"], ["run.id"], name=op.f("fk_log_chunk_run_id_run"), ondelete="SET NULL"),
+        sa.PrimaryKeyConstraint("key", name=op.f("pk_log_chunk")),
     )
-    op.create_index("ix_log_segment_run_id", "log_chunk", ["run_id", "attempt", "offset_bytes"], unique=False)
+    op.create_index("ix_log_chunk_run_id", "log_chunk", ["run_id", "attempt", "offset_bytes"], unique=False)
 
 
 def _make_words_of_runs() -> None:
