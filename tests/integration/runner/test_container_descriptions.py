@@ -118,7 +118,7 @@ def test_hosts_of_doors_have_addresses_of_their_own(tmp_path: Path) -> None:
     hosts = ["api.lab.example", "store.lab.example", "localhost", "192.168.1.5", "api.lab.example"]
     job = job_of(tmp_path, Network.api)
     forwards = tuple(PortForward(host, 443, "127.0.0.1", 1) for host in hosts)
-    host = host_of(Job(**{**vars(job), "forwards": forwards}))
+    host = host_of(Job(**{**vars(job), "port_forwards": forwards}))
     assert host["ExtraHosts"] == ["api.lab.example:127.1.0.1", "store.lab.example:127.1.0.2"]
 
 

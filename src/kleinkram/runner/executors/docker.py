@@ -150,6 +150,7 @@ class DockerExecutor(LocalExecutor):
         else:
             self._client.create(name, description)
         self._client.start(name)
+        self._forget(job)
         self._monitor(job, is_reattached=False).poll()
 
     def poll(self, job: Job) -> Ending | None:
@@ -166,10 +167,7 @@ class DockerExecutor(LocalExecutor):
 
     def remove(self, job: Job) -> None:
         """Kill and remove a container; one that the engine does not remove is left for `remove_others`."""
-        with self._lock:
-            monitor = self._monitors.pop(job.key, None)
-        if monitor is not None:
-            monitor.close()
+        self._forget(job)
         (job.directory / _STOP_REASON).unlink(missing_ok=True)
         with contextlib.suppress(EngineUnavailable):
             self._remove(containers.container_name(job))
@@ -194,6 +192,12 @@ class DockerExecutor(LocalExecutor):
             if job.key not in self._monitors:
                 self._monitors[job.key] = ContainerMonitor(self._client, job, is_reattached=is_reattached)
             return self._monitors[job.key]
+
+    def _forget(self, job: Job) -> None:
+        with self._lock:
+            monitor = self._monitors.pop(job.key, None)
+        if monitor is not None:
+            monitor.close()
 
     def _network_refusal(self, network: str) -> str:
         return f"A runner that is not root cannot give a run the network {network!r}."

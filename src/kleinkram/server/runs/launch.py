@@ -40,8 +40,14 @@ from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import narrow_files
-from kleinkram.server.runners.fitting import Needs, alive_runners, is_owners_alone, known_runners, why_never
-from kleinkram.server.runs import reading
+from kleinkram.server.runners.scheduling import (
+    Needs,
+    alive_runners,
+    has_single_person,
+    known_runners,
+    reason_never_starts,
+)
+from kleinkram.server.runs import service
 from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
 
 # What a run says of its results, and a run that reuses them says too.
@@ -56,7 +62,7 @@ class Runners:
     """The runners that may do a run, and whether one person alone has an account."""
 
     known: Sequence[Row[Any]]
-    owners_alone: bool
+    single_person: bool
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ async def make_run(
     """
     place = await _place(db, actor, task, mission_id)
     inputs = await _inputs(db, actor, task.definition, place)
-    given = _given(task, inputs)
+    given = _assign(task, inputs)
     earlier = None if force else await _earlier(db, task, mission_id, given)
     if earlier is None:
         _raise_if_never(task, place.project_id)
@@ -147,7 +153,22 @@ async def make_run(
     await record(
         db, actor, Event("run.create", "run", run_id, name, place.project_id, after=after, mission_id=mission_id)
     )
-    return await reading.get_run(db, actor, run_id)
+    return await service.get_run(db, actor, run_id)
+
+
+async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool) -> RunRead:
+    """Run the same once more, on the files as they are now, and return the new run.
+
+    Raises:
+        NotFound: it is not there, or not for this actor.
+        Forbidden: they hold less on its mission than the action asks for.
+        NoInputs: no file of it is an input any more.
+        FileUnavailable: an input is lost or corrupt.
+        NoRunner: none of the runners can ever do it.
+    """
+    row = await service.find_run_row(db, actor, run_id)
+    task = await task_of(db, row.version_id, row.parameters)
+    return await make_run(db, actor, task, row.mission_id, force=force, retry_of_id=run_id)
 
 
 async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
@@ -159,7 +180,7 @@ async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
         project_id = (await db.execute(of_action)).scalar_one()
     elif wanted.definition is not None:
         definition = wanted.definition
-        version_id, digest = await actions.keep_unpublished(db, actor, definition)
+        version_id, digest = await actions.store_unpublished(db, actor, definition)
     else:
         raise AssertionError("a request names an action or holds one")
     try:
@@ -171,13 +192,13 @@ async def _task(db: Connection, actor: Actor, wanted: RunsCreate) -> Task:
 
 
 async def _runners(db: Connection) -> Runners:
-    return Runners(await known_runners(db), await is_owners_alone(db))
+    return Runners(await known_runners(db), await has_single_person(db))
 
 
 def _raise_if_never(task: Task, project_id: uuid.UUID) -> None:
     """Refuse a run that no runner can ever do, with the remedy."""
     needs = _needs(task.definition, project_id)
-    reason = why_never(needs, task.runners.known, owners_alone=task.runners.owners_alone)
+    reason = reason_never_starts(needs, task.runners.known, single_person=task.runners.single_person)
     if reason is not None:
         raise NoRunner(action=task.definition.name, reason=reason)
 
@@ -237,7 +258,7 @@ async def _inputs(db: Connection, actor: Actor, definition: ActionDefinition, pl
     return rows
 
 
-def _given(task: Task, inputs: Sequence[Row[Any]]) -> bytes:
+def _assign(task: Task, inputs: Sequence[Row[Any]]) -> bytes:
     """Return the hash of all that decides about results, but for the image."""
     said = [str(task.version_id), task.parameters, [[row.path, row.sha256.hex()] for row in inputs]]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).digest()

@@ -46,7 +46,7 @@ async def alive_runners(db: Connection) -> Sequence[Row[Any]]:
     return (await db.execute(alive_stmt())).all()
 
 
-async def is_owners_alone(db: Connection) -> bool:
+async def has_single_person(db: Connection) -> bool:
     """Say whether one person alone has an account here: runs that are badly isolated can then harm nobody else."""
     active = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
     return bool((await db.execute(active)).scalar_one() <= 1)
@@ -76,16 +76,16 @@ def runs_scripts(each: Row[Any], abilities: ExecutorAbilities) -> bool:
     return not abilities.images or each.default_image is not None
 
 
-def is_for_owner_only(abilities: ExecutorAbilities) -> bool:
+def is_single_person_only(abilities: ExecutorAbilities) -> bool:
     """Say whether a runner isolates runs too weakly for a server on which several people have accounts."""
     return abilities.isolation is not Isolation.container
 
 
-def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str | None:
+def refusal(run: Row[Any] | Needs, each: Row[Any], *, single_person: bool) -> str | None:
     """Return why a runner could never do a run; None where it could, once enough of it is free."""
     abilities = ExecutorAbilities.model_validate(each.abilities)
     capacity = Capacity.model_validate(each.capacity)
-    if is_for_owner_only(abilities) and not owners_alone:
+    if is_single_person_only(abilities) and not single_person:
         return "it runs actions without containers, which is allowed only while one person alone has an account"
     if each.only_project_ids is not None and run.project_id not in {None, *each.only_project_ids}:
         return "its token is limited to other projects"
@@ -108,31 +108,33 @@ def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str
     return None
 
 
-def why_never(run: Row[Any] | Needs, known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+def reason_never_starts(run: Row[Any] | Needs, known: Collection[Row[Any]], *, single_person: bool) -> str | None:
     """Return why no known runner can ever do a run, and what to do about it.
 
     None where one can, and where no runner is known yet: then a run waits for the first.
     """
-    reasons = [(each, refusal(run, each, owners_alone=owners_alone)) for each in known]
+    reasons = [(each, refusal(run, each, single_person=single_person)) for each in known]
     if not reasons or any(reason is None for _, reason in reasons):
         return None
     # First the runners with the labels that the run asks for: what those lack is what can be mended.
     ordered = sorted(reasons, key=lambda pair: (not set(run.labels) <= set(pair[0].labels), pair[0].name))
     listed = "; ".join(f"{each.name}: {reason}" for each, reason in ordered[:_MOST_NAMED])
     remedy = _REMEDY
-    if not owners_alone and any(is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)) for each in known):
+    if not single_person and any(
+        is_single_person_only(ExecutorAbilities.model_validate(each.abilities)) for each in known
+    ):
         remedy = CONTAINERS_REMEDY
     return f"No runner can do it ({listed}). {remedy}"
 
 
-def why_waiting(run: Row[Any], known: Collection[Row[Any]], *, owners_alone: bool) -> str:
+def reason_waiting(run: Row[Any], known: Collection[Row[Any]], *, single_person: bool) -> str:
     """Return, as a sentence, why a run that is queued has not begun."""
     if not known:
         return "No runner is there. Start one with `klein runner start`."
-    never = why_never(run, known, owners_alone=owners_alone)
+    never = reason_never_starts(run, known, single_person=single_person)
     if never is not None:
         return never
-    able = [each for each in known if refusal(run, each, owners_alone=owners_alone) is None]
+    able = [each for each in known if refusal(run, each, single_person=single_person) is None]
     alive = sorted(each.name for each in able if each.is_alive)
     if alive:
         return f"It waits for its turn with {' or '.join(alive[:_MOST_NAMED])}."
@@ -140,29 +142,33 @@ def why_waiting(run: Row[Any], known: Collection[Row[Any]], *, owners_alone: boo
     return f"It waits for {names}, which is not running. Start it again, or another with `klein runner start`."
 
 
-def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+def runs_problem(
+    queued: Collection[Row[Any]], known: Collection[Row[Any]], *, single_person: bool
+) -> str | None:
     """Return why runs cannot start, and what to do: of those queued, else of the plainest script; None where all can.
 
     `queued` says by `number` how many runs need the same.
     """
-    stuck = [(row.number, why_never(row, known, owners_alone=owners_alone)) for row in queued]
+    stuck = [(row.number, reason_never_starts(row, known, single_person=single_person)) for row in queued]
     reasons = [(number, reason) for number, reason in stuck if reason is not None]
     if reasons:
         count = sum(number for number, _ in reasons)
         runs = "1 queued run can" if count == 1 else f"{count} queued runs can"
         return f"{runs} never start. {reasons[0][1]}"
-    if owners_alone or not known:
+    if single_person or not known:
         return None
-    if all(is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)) for each in known):
+    if all(is_single_person_only(ExecutorAbilities.model_validate(each.abilities)) for each in known):
         plain = Needs(None, [], False, Network.none.value, 0, 0, 0, 0)
-        return f"Actions cannot be run. {why_never(plain, known, owners_alone=owners_alone)}"
+        return f"Actions cannot be run. {reason_never_starts(plain, known, single_person=single_person)}"
     return None
 
 
-def invitation_warning(known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
+def invitation_warning(known: Collection[Row[Any]], *, single_person: bool) -> str | None:
     """Return what stops once a second person has an account; None where nothing does."""
-    weak = sorted(each.name for each in known if is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)))
-    if not owners_alone or not weak:
+    weak = sorted(
+        each.name for each in known if is_single_person_only(ExecutorAbilities.model_validate(each.abilities))
+    )
+    if not single_person or not weak:
         return None
     names = " and ".join(weak[:_MOST_NAMED])
     return (

@@ -18,7 +18,7 @@ from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
-from kleinkram.server.runs import launching, reading
+from kleinkram.server.runs import service
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
@@ -36,8 +36,8 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
         NotFound: it is not there, or not for this actor.
         Forbidden: it is another's, and they do not hold DELETE on its mission.
     """
-    await reading.lock_run(db, run_id)
-    row = await reading.run_row(db, actor, run_id)
+    await service.lock_run(db, run_id)
+    row = await service.find_run_row(db, actor, run_id)
     await require_mission(db, actor, "cancel_run", row.mission_id)
     if row.started_by_id != actor.person_id and row.level < Right.delete.level:
         raise Forbidden(noun="mission", operation="cancel another's run", needs=Right.delete.value)
@@ -46,25 +46,10 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
     elif row.state in HELD and row.cancel_requested_at is None:
         await db.execute(update(run).where(run.c.id == run_id).values(cancel_requested_at=func.now()))
     else:
-        return await reading.get_run(db, actor, run_id)
+        return await service.get_run(db, actor, run_id)
     event = Event("run.cancel", "run", run_id, row.action_name, row.project_id, mission_id=row.mission_id)
     await record(db, actor, event)
-    return await reading.get_run(db, actor, run_id)
-
-
-async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool) -> RunRead:
-    """Run the same once more, on the files as they are now, and return the new run.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they hold less on its mission than the action asks for.
-        NoInputs: no file of it is an input any more.
-        FileUnavailable: an input is lost or corrupt.
-        NoRunner: none of the runners can ever do it.
-    """
-    row = await reading.run_row(db, actor, run_id)
-    task = await launching.task_of(db, row.version_id, row.parameters)
-    return await launching.make_run(db, actor, task, row.mission_id, force=force, retry_of_id=run_id)
+    return await service.get_run(db, actor, run_id)
 
 
 async def end_run(db: Connection, row: Row[Any], reason: EndReason, message: str, **values: object) -> None:
@@ -73,11 +58,11 @@ async def end_run(db: Connection, row: Row[Any], reason: EndReason, message: str
     said = {"state": state.value, "reason": reason.value, "message": message, "lease_ends_at": None}
     ended = update(run).where(run.c.id == row.id).values(ended_at=func.now(), **said, **values)
     await db.execute(ended)
-    await forget_attempt(db, [row.id], keep_results=reason is not EndReason.lost)
+    await discard_attempt(db, [row.id], keep_results=reason is not EndReason.lost)
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
 
 
-async def forget_attempt(db: Connection, run_ids: Sequence[uuid.UUID], *, keep_results: bool) -> None:
+async def discard_attempt(db: Connection, run_ids: Sequence[uuid.UUID], *, keep_results: bool) -> None:
     """End what an attempt at a run could do and was doing: its token and uploads; and what it left, unless kept."""
     await db.execute(update(token).where(token.c.run_id.in_(run_ids)).values(revoked_at=func.now()))
     open_still = upload.c.run_id.in_(run_ids) & upload.c.state.in_(UNDER_WAY)
@@ -86,7 +71,7 @@ async def forget_attempt(db: Connection, run_ids: Sequence[uuid.UUID], *, keep_r
         await db.execute(delete(run_artifact).where(run_artifact.c.run_id.in_(run_ids)))
 
 
-async def take_back_lost(db: Connection) -> int:
+async def requeue_lost_runs(db: Connection) -> int:
     """Give runs whose lease ran out to the queue again, or end them; return how many there were.
 
     Who wants one cancelled whose runner is silent need not wait for a long lease to run out.
@@ -104,15 +89,15 @@ async def take_back_lost(db: Connection) -> int:
             message = f"The runner that had it was lost, {times}. Look at the runners' logs, then try it again."
             await end_run(db, row, EndReason.lost, message)
         else:
-            await _queue_again(db, row)
+            await _requeue(db, row)
     return len(rows)
 
 
-async def _queue_again(db: Connection, row: Row[Any]) -> None:
+async def _requeue(db: Connection, row: Row[Any]) -> None:
     fresh = {"state": RunState.queued.value, "lease_ends_at": None, "runner_id": None, "progress": None, "usage": None}
     again = {**fresh, "claimed_at": None, "started_at": None, "samples": [], "lost_count": row.lost_count + 1}
     await db.execute(update(run).where(run.c.id == row.id).values(**again))
-    await forget_attempt(db, [row.id], keep_results=False)
+    await discard_attempt(db, [row.id], keep_results=False)
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
 
 

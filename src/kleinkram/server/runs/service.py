@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row
+from sqlalchemy import ColumnElement, Row, or_, select
 
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState
@@ -16,6 +16,9 @@ from kleinkram.contract.runs import (
     ArtifactRead,
     ArtifactUrl,
     FindingRead,
+    LineageFile,
+    LineageRead,
+    LineageRun,
     MetricRead,
     ReportFilter,
     RunDetail,
@@ -25,14 +28,17 @@ from kleinkram.contract.runs import (
     RunState,
 )
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pages import PageRequest, fetch_page
-from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_waiting
+from kleinkram.server.runners.scheduling import has_single_person, known_runners, reason_waiting
 from kleinkram.server.runs import queries
-from kleinkram.server.tables import run, run_artifact
+from kleinkram.server.tables import blob, file, run, run_artifact, run_input
 
+_MAX_LINEAGE_RUNS = 100
+_MAX_LINEAGE_FILES = 1000
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 
 
@@ -57,7 +63,7 @@ async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunRead:
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await run_row(db, actor, run_id)
+    row = await find_run_row(db, actor, run_id)
     waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
     return queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
 
@@ -68,12 +74,12 @@ async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDeta
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await run_row(db, actor, run_id)
+    row = await find_run_row(db, actor, run_id)
     waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
     return queries.to_detail(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
 
 
-async def run_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> Row[Any]:
+async def find_run_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> Row[Any]:
     """Return the row of a run, as `queries.whole_run` selects it.
 
     Raises:
@@ -89,8 +95,8 @@ async def _waiting(db: Connection, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, 
     queued = [row for row in rows if row.state == RunState.queued.value]
     if not queued:
         return {}
-    known, alone = await known_runners(db), await is_owners_alone(db)
-    return {row.id: why_waiting(row, known, owners_alone=alone) for row in queued}
+    known, alone = await known_runners(db), await has_single_person(db)
+    return {row.id: reason_waiting(row, known, single_person=alone) for row in queued}
 
 
 async def _metrics(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[Metric]]:
@@ -110,7 +116,7 @@ async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UU
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await run_row(db, actor, run_id)
+    row = await find_run_row(db, actor, run_id)
     found: uuid.UUID = row.reuses_id or row.id
     return found
 
@@ -122,7 +128,7 @@ async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: 
         NotFound: the run is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
-    await run_row(db, actor, run_id)
+    await find_run_row(db, actor, run_id)
     rows = await fetch_page(db, queries.inputs_of(actor, [run_id]), queries.INPUT_ORDER, page)
     return Page(items=[queries.to_input(row) for row in rows.items], next=rows.next, total=rows.total)
 
@@ -149,7 +155,7 @@ async def link_artifacts(
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
     async with context.database.begin() as db:
-        held = await run_row(db, actor, run_id)
+        held = await find_run_row(db, actor, run_id)
         stmt = queries.artifacts_of(actor, held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
         found = {row.id: row for row in await db.execute(stmt)}
         for each in artifact_ids:
@@ -208,3 +214,71 @@ async def _of_results(db: Connection, actor: Actor, matching: ReportFilter) -> R
 async def lock_run(db: Connection, run_id: uuid.UUID) -> None:
     """Hold others off changing a run until this transaction ends."""
     await db.execute(run.select().where(run.c.id == run_id).with_for_update(key_share=True))
+
+
+async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> LineageRead:
+    """Return the run that made a file, and those that read it, with what they made, as far as `actor` may see them.
+
+    Raises:
+        NotFound: the file is not there, or not for this actor.
+    """
+    columns = (file.c.id, file.c.path, blob.c.sha256, file.c.blob_id)
+    stmt = visible_files(actor).with_only_columns(*columns, maintain_column_froms=True).where(file.c.id == file_id)
+    row = (await db.execute(stmt)).one_or_none()
+    if row is None:
+        raise NotFound(noun="file", ref=str(file_id))
+    maker = select(run_artifact.c.run_id, run_artifact.c.made_from).where(run_artifact.c.file_id == file_id)
+    made = (await db.execute(maker)).one_or_none()
+    # By its bytes too: what was read under another name, or before it was moved, was the same.
+    readers = select(run_input.c.run_id).where(
+        or_(run_input.c.file_id == file_id, run_input.c.blob_id == row.blob_id), run_input.c.sha256 == row.sha256
+    )
+    found = await _runs(db, actor, run.c.id.in_(readers))
+    makers = [] if made is None else await _runs(db, actor, run.c.id == made.run_id)
+    named = await _with_files(db, actor, [*found[:_MAX_LINEAGE_RUNS], *makers])
+    made_by = None if not makers else _only_sources(named[makers[0].id], made.made_from if made else [])
+    return LineageRead(
+        file=LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),
+        made_by=made_by,
+        read_by=[named[each.id] for each in found[:_MAX_LINEAGE_RUNS]],
+        truncated=len(found) > _MAX_LINEAGE_RUNS,
+    )
+
+
+async def _runs(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> Sequence[Row[Any]]:
+    stmt = queries.run_rows(actor, queries.visible_runs(actor).where(condition))
+    return (await db.execute(stmt.order_by(run.c.created_at.desc()).limit(_MAX_LINEAGE_RUNS + 1))).all()
+
+
+async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, LineageRun]:
+    run_ids = {row.id for row in rows}
+    stmt = queries.inputs_of(actor, [*run_ids])
+    given = (await db.execute(stmt.order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES))).all()
+    columns = (run_artifact.c.run_id, run_artifact.c.file_id, file.c.path, blob.c.sha256)
+    stmt = select(*columns).join_from(run_artifact, file, file.c.id == run_artifact.c.file_id)
+    joined = stmt.join(blob, blob.c.id == file.c.blob_id).join(run, run.c.id == run_artifact.c.run_id)
+    shown_files = among(run_artifact.c.run_id, run_ids) & ~queries.is_hidden(actor, run_artifact.c.file_id)
+    made = (await db.execute(joined.where(shown_files).order_by(file.c.path).limit(_MAX_LINEAGE_FILES))).all()
+    ids = {row.file_id for row in [*given, *made] if row.file_id}
+    seen = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
+    visible = set((await db.execute(seen.where(among(file.c.id, ids)))).scalars())
+
+    def shown(row: Row[Any]) -> LineageFile:
+        return LineageFile(id=row.file_id if row.file_id in visible else None, path=row.path, sha256=row.sha256.hex())
+
+    return {
+        row.id: LineageRun(
+            run=queries.to_run(actor, row),
+            inputs=[shown(each) for each in given if each.run_id == row.id],
+            files=[shown(each) for each in made if each.run_id == row.id],
+            artifact_count=row.artifact_count,
+        )
+        for row in rows
+    }
+
+
+def _only_sources(made_by: LineageRun, made_from: Sequence[str] | None) -> LineageRun:
+    """Return the run that made a file with those of its inputs alone that it said the file is made from."""
+    if not made_from:
+        return made_by
+    return made_by.model_copy(update={"inputs": [each for each in made_by.inputs if each.path in made_from]})
