@@ -26,9 +26,9 @@ _ROUNDS_A_HOUSE = 10
 _UNFINISHED = "SELECT path, state, failure FROM upload WHERE state IN ('open', 'completing')"
 _FILES = """
     SELECT file.path, encode(blob.sha256, 'hex') FROM file JOIN blob ON blob.id = file.blob_id
-    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'proven'
+    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'verified'
 """
-_UNPROVEN = "SELECT count(*) FROM blob WHERE state <> 'proven'"
+_UNVERIFIED = "SELECT count(*) FROM blob WHERE state <> 'verified'"
 _LASTING = """
 import time
 from kleinkram.action import out
@@ -108,7 +108,7 @@ def _all_is_well(house: House, rounds: list[Round]) -> None:
     wait_until(lambda: all(house.told()["parts"].values()), "every part to run")
     behind.tidy(house)
     assert behind.sql(house, _UNFINISHED) == [], "no name is blocked"
-    wait_until(lambda: behind.sql(house, _UNPROVEN) == [(0,)], "the server to have read all bytes")
+    wait_until(lambda: behind.sql(house, _UNVERIFIED) == [(0,)], "the server to have read all bytes")
     for one in rounds:
         assert dict(behind.sql(house, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
     wait_until(lambda: all(_is_over(house, run) for one in rounds for run in one.runs), "the runs to end")

@@ -132,7 +132,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="Kleinkram",
         version=kleinkram.__version__,
-        summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
+        summary="Keeps every recording a robotics lab makes: organised, verified, findable down to the topic.",
         lifespan=lifespan,
         # A Location would be made from the Host header, which is whatever the asker says.
         redirect_slashes=False,

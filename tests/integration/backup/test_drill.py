@@ -26,7 +26,6 @@ from kleinkram.server.backup.dumping import Facts, Reading
 from kleinkram.server.backup.dumping import facts as real_facts
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.settings import Settings, plain_dsn
-from tests.integration.backup.proving import complaints
 from tests.integration.backup.sites import (
     LEFT,
     Sites,
@@ -39,6 +38,7 @@ from tests.integration.backup.sites import (
     rows,
     settings_of,
 )
+from tests.integration.backup.verification import complaints
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.running import Api

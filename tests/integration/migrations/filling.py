@@ -14,8 +14,8 @@ INSERT INTO blob (id, key, size_bytes, sha256, crc64nvme, uploaded_by_id, conten
                   start_ns, end_ns, format)
   VALUES (%(blob)s, 'batch/' || %(n)s || '.mcap', 1000, sha256(%(n)s::bytea), '\\x0102030405060708', %(person)s,
           'indexed', now(), 7, 1, 2, 'mcap');
-INSERT INTO blob (id, key, size_bytes, sha256, md5, state, proven_at, uploaded_by_id)
-  VALUES (gen_random_uuid(), 'proven/' || %(n)s, 5, sha256('p'), '\\x00112233445566778899aabbccddeeff', 'proven',
+INSERT INTO blob (id, key, size_bytes, sha256, md5, state, verified_at, uploaded_by_id)
+  VALUES (gen_random_uuid(), 'verified/' || %(n)s, 5, sha256('p'), '\\x00112233445566778899aabbccddeeff', 'verified',
           now(), %(person)s);
 INSERT INTO blob (id, key, size_bytes, sha256, state, state_reason, uploaded_by_id)
   VALUES (gen_random_uuid(), 'lost/' || %(n)s, 6, sha256('l'), 'lost', 'the store no longer has the object',
@@ -28,7 +28,7 @@ INSERT INTO file (id, mission_id, recording_id, blob_id, path, path_key, origin,
   VALUES (%(file)s, %(mission)s, %(recording)s, %(blob)s, 'run.mcap', 'run.mcap', 'upload', %(person)s, '{night}');
 INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id, deleted_at, deleted_by_id)
   SELECT gen_random_uuid(), %(mission)s, id, 'old ' || key, 'old ' || key, 'link', %(person)s, now(), %(person)s
-  FROM blob WHERE key IN ('proven/' || %(n)s, 'lost/' || %(n)s);
+  FROM blob WHERE key IN ('verified/' || %(n)s, 'lost/' || %(n)s);
 INSERT INTO upload (id, mission_id, person_id, path, path_key, size_bytes, part_size_bytes, checksum, key,
                     lease_ends_at, expires_at)
   VALUES (gen_random_uuid(), %(mission)s, %(person)s, 'coming.mcap', 'coming.mcap', 9000000, 8388608, 'crc64nvme',
@@ -37,7 +37,7 @@ INSERT INTO store_probe (store_id, checksum, writes_once) VALUES ('main', 'crc64
 INSERT INTO audit_event (actor_id, operation, noun, noun_id, noun_name, project_id, after)
   VALUES (%(person)s, 'file.upload', 'file', %(file)s, 'run.mcap', %(project)s, '{"size_bytes": 1000}');
 INSERT INTO procrastinate_jobs (queue_name, task_name, args)
-  VALUES ('default', 'prove_blob', jsonb_build_object('ref', %(blob)s));
+  VALUES ('default', 'verify_blob', jsonb_build_object('ref', %(blob)s));
 """
 _RIGHTS = """
 INSERT INTO access_group (id, kind, name, name_key, person_id)

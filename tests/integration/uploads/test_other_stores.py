@@ -109,7 +109,7 @@ def test_a_file_comes_back_as_it_went_and_is_proven(api: Api, mission_id: str, s
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     status, read = fetch(link["url"])
     assert (status, read == body) == (200, True)

@@ -89,8 +89,8 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     return ScrubState(
         last=None if last is None else _scrub(last),
         every_hours=settings.scrub_hours,
-        again_after_days=settings.prove_again_days,
-        oldest_proof_at=await scrubs.oldest_proof_at(db),
+        again_after_days=settings.reverify_days,
+        oldest_verification_at=await scrubs.oldest_verification_at(db),
         blobs=[_amount(row.state, row) for row in rows],
     )
 

@@ -63,7 +63,7 @@ async def link_twins(
     ]
     await record_all(db, actor, events)
     await regroup(db, mission_id)
-    # What was unreadable a moment ago may have been proven since: then it is as good as the twin.
+    # What was unreadable a moment ago may have been verified since: then it is as good as the twin.
     healed = [name_key(d.wanted.path) for d in linked if d.wanted.path not in made]
     there = await queries.live_files(db, mission_id, healed) if healed else {}
     return [_linked(d, made, there) if d.way is Way.link else d for d in decisions]

@@ -39,7 +39,7 @@ def upgrade() -> None:
         sa.Column("md5", sa.LargeBinary(), nullable=True),
         sa.Column("state", sa.Text(), server_default="stored", nullable=False),
         sa.Column("state_reason", sa.Text(), nullable=True),
-        sa.Column("proven_at", sa.DateTime(timezone=True), nullable=True),
+        sa.Column("verified_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("uploaded_by_id", sa.Uuid(), nullable=False),
         sa.Column("created_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("doomed_at", sa.DateTime(timezone=True), nullable=True),
@@ -56,9 +56,9 @@ def upgrade() -> None:
             "content IN ('pending', 'indexed', 'recovered', 'broken', 'opaque', 'error')", name=op.f("ck_blob_content")
         ),
         sa.CheckConstraint(
-            "state <> 'proven' OR (md5 IS NOT NULL AND proven_at IS NOT NULL)", name=op.f("ck_blob_proven")
+            "state <> 'verified' OR (md5 IS NOT NULL AND verified_at IS NOT NULL)", name=op.f("ck_blob_verified")
         ),
-        sa.CheckConstraint("state IN ('stored', 'proven', 'lost', 'corrupt')", name=op.f("ck_blob_state")),
+        sa.CheckConstraint("state IN ('stored', 'verified', 'lost', 'corrupt')", name=op.f("ck_blob_state")),
         sa.CheckConstraint("octet_length(crc64nvme) = 8", name=op.f("ck_blob_crc64nvme")),
         sa.CheckConstraint("octet_length(md5) = 16", name=op.f("ck_blob_md5")),
         sa.CheckConstraint("octet_length(sha256) = 32", name=op.f("ck_blob_sha256")),
@@ -79,7 +79,7 @@ def upgrade() -> None:
         postgresql_where=sa.text("doomed_at IS NULL"),
     )
     op.create_index(
-        "ix_blob_unproven",
+        "ix_blob_unverified",
         "blob",
         ["created_at"],
         unique=False,

@@ -1,4 +1,4 @@
-"""Scrubs, since when a blob is lost or corrupt, and whose proof is the oldest."""
+"""Scrubs, since when a blob is lost or corrupt, and which was verified longest ago."""
 
 import sqlalchemy as sa
 from alembic import context, op
@@ -14,11 +14,11 @@ def upgrade() -> None:
     # Since when nobody wrote down: since now at the latest.
     op.execute("UPDATE blob SET damaged_at = now() WHERE state IN ('lost', 'corrupt')")
     op.create_index(
-        "ix_blob_proven_at",
+        "ix_blob_verified_at",
         "blob",
-        ["proven_at"],
+        ["verified_at"],
         unique=False,
-        postgresql_where=sa.text("state = 'proven' AND doomed_at IS NULL"),
+        postgresql_where=sa.text("state = 'verified' AND doomed_at IS NULL"),
     )
     op.create_index(
         "ix_blob_key", "blob", ["store_id", "key"], unique=False, postgresql_ops={"key": "text_pattern_ops"}
