@@ -68,7 +68,7 @@ def _sign_in_by_a_code(house: House, client: Terminal, url: str) -> None:
 def _is_told(house: House, hours: int) -> None:
     """The server's log and the doctor say so, in a sentence."""
     lines = [json.loads(line) for line in (house.data_dir / "logs" / "api.log").read_text().splitlines()]
-    (said,) = [line for line in lines if "clocks of this server and of the store are apart" in line["message"]]
+    (said,) = [line for line in lines if "clocks of this server and of the store differ" in line["message"]]
     assert abs(said["store_ahead_s"] + hours * 3600) < _MEANWHILE.total_seconds()
     command = house.terminal.command("doctor", "--data-dir", house.data_dir)
     told = subprocess.run(command, check=False, capture_output=True, text=True, env=house.terminal.environment).stdout

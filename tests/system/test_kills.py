@@ -118,7 +118,7 @@ def _all_is_well(house: House, rounds: list[Round]) -> None:
     behind.tidy(house)
     kept = dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
     assert behind.objects(house) == kept, "objects that nobody refers to, or none where one should be"
-    assert behind.open_multiparts(house) == []
+    assert behind.list_multiparts(house) == []
 
 
 def _is_over(house: House, run: str) -> bool:

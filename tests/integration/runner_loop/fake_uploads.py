@@ -10,13 +10,13 @@ from kleinkram.contract.runners import LOG_PATH, ArtifactsBegin
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
-    HeldPart,
     NotCompleted,
     PartsSign,
     Present,
     Send,
     SignedPart,
     SignedParts,
+    StoredPart,
     UploadDecision,
     UploadDecisions,
     UploadOutcome,
@@ -61,7 +61,7 @@ class FakeUploads:
                 state=UploadState.open,
                 lease_ends_at=LATER,
                 expires_at=LATER,
-                parts=list[HeldPart](),
+                parts=list[StoredPart](),
             )
             decisions.append(Send(upload=upload))
         return UploadDecisions(items=decisions)
