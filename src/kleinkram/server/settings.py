@@ -24,7 +24,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from kleinkram.contract.emails import EmailDomain
 from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.rights import Right
-from kleinkram.server.proxies import Network
+from kleinkram.server.http.headers import Network
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]

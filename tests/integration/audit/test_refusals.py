@@ -12,7 +12,7 @@ from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
 from kleinkram.server.context import AppContext
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from tests.integration import people
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site

@@ -11,7 +11,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_projects
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.search.globs import matches_key
 from kleinkram.server.tables import action, action_version, person, project
 

@@ -29,8 +29,8 @@ from kleinkram.server.blobs import scrubs
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.home.service import is_low, store_use
-from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
 from kleinkram.server.settings import Settings, is_secret

@@ -42,7 +42,7 @@ from kleinkram.server.access.visible import (
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among, among_given, by_name
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.matching import narrow_files, narrow_walked
 from kleinkram.server.search.topics import TOPIC_ORDER, topic_rows

@@ -40,7 +40,7 @@ from kleinkram.server.access.visible import (
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among_given, by_name
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.search.asked import Asked
 from kleinkram.server.search.looking import drawn_missions, walking
 from kleinkram.server.search.matching import narrow_missions, narrow_missions_found

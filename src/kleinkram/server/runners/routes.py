@@ -25,9 +25,9 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
-from kleinkram.server.http import mark_as_stream
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.middleware import mark_as_stream
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.runners import holding, service
 from kleinkram.server.uploads.artifacts import begin_artifacts
 from kleinkram.server.uploads.completion import finish_cut_off_artifacts
@@ -55,7 +55,7 @@ async def say_hello(hello: RunnerHello, db: Transaction, actor: CurrentActor) ->
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, asked: ClaimAsk, request: Request, context: CurrentSite, actor: CurrentActor
+    runner_id: uuid.UUID, asked: ClaimAsk, request: Request, context: CurrentContext, actor: CurrentActor
 ) -> Claimed:
     """Ask for a run that fits what is free, and wait for one."""
     mark_as_stream(request.scope)
@@ -75,14 +75,14 @@ async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transact
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
-async def sign_inputs(run_id: uuid.UUID, asked: InputsAsk, context: CurrentSite, actor: CurrentActor) -> InputUrls:
+async def sign_inputs(run_id: uuid.UUID, asked: InputsAsk, context: CurrentContext, actor: CurrentActor) -> InputUrls:
     """Get where to read inputs."""
     return await holding.sign_inputs(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log/sign", operation_id="sign_log_segment")
 async def sign_log_segment(
-    run_id: uuid.UUID, asked: SegmentAsk, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, asked: SegmentAsk, context: CurrentContext, actor: CurrentActor
 ) -> SegmentPut:
     """Get where to store a piece of a log."""
     return await holding.sign_segment(context, actor, run_id=run_id, asked=asked)
@@ -96,7 +96,7 @@ async def keep_log_segment(run_id: uuid.UUID, kept: SegmentKept, db: Transaction
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="begin_artifacts")
 async def begin_uploads_of_run(
-    run_id: uuid.UUID, body: ArtifactsBegin, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, body: ArtifactsBegin, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
     async with context.database.begin() as db:

@@ -18,7 +18,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.few import find_few

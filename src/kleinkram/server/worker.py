@@ -22,11 +22,11 @@ from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
+from kleinkram.server.health.metrics_server import serve_metrics
+from kleinkram.server.health.worker_heartbeat import heartbeat
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import Attempts, keep_why
-from kleinkram.server.jobs.heartbeat import heartbeat
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, PROVING, queue
-from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
