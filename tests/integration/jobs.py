@@ -19,7 +19,7 @@ from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.storage import open_storage
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 T = TypeVar("T")
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"

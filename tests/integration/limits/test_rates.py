@@ -16,9 +16,9 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.http import rate_limit
 from kleinkram.server.http.rate_limit import Count, delete_expired_counts, enforce_limits
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 _KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
 

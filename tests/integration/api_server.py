@@ -22,7 +22,7 @@ from sqlalchemy import event
 from kleinkram.server.app import create_app
 from kleinkram.server.http.web_server import ApiServer
 from kleinkram.server.settings import Settings
-from tests.integration.described import assert_is_described
+from tests.integration.openapi_check import assert_is_described
 
 Query = Sequence[tuple[str, str]] | Mapping[str, str]
 
