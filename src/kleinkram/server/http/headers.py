@@ -5,7 +5,8 @@ from collections.abc import Iterable, Sequence
 
 from starlette.types import Scope
 
-Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+from kleinkram.server.settings import Network
+
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Header = tuple[bytes, bytes]
 

@@ -19,8 +19,8 @@ from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from kleinkram.server.http.headers import Network, parse_address
-from kleinkram.server.settings import Settings
+from kleinkram.server.http.headers import parse_address
+from kleinkram.server.settings import Network, Settings
 
 _log = logging.getLogger("kleinkram.web_server")
 _MAX_HEAD_BYTES = 64 * 1024
