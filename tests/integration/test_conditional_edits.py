@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 from kleinkram.cli.main import app
 from kleinkram.client import connect
 from kleinkram.contract.errors import EditConflict
+from tests.integration.api_server import Answer, Api
 from tests.integration.people import person
 from tests.integration.races import racing
-from tests.integration.running import Answer, Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 FIELDS = "undeclared: accept\nfields:\n  - {name: robot, type: string}\n"
 # Of each noun: what the first writes, and the second, who looked at the same.

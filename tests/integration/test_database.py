@@ -11,10 +11,10 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server import db
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database, open_database
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
 
 
 async def _run(database: Database, statement: str) -> str:

@@ -22,7 +22,7 @@ from kleinkram.server.migrations import HEAD, INITIAL, alembic_config
 from kleinkram.server.migrations.migrate import LOCK, LockTimeouts, MigrationBlocked, SchemaUnsupported, migrate
 from kleinkram.server.tables import metadata
 from tests.integration.next_migration import NEXT, add_migration
-from tests.stack import RunningPostgres
+from tests.services import RunningPostgres
 
 _ROLE = "kleinkram_serve"
 # A lock that is waited for, on a machine that is busy (4.9 s was seen on one that was slow by half).

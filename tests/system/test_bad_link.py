@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tests.acceptance.conftest import Terminal, wait_until
-from tests.system.house import House, environment
-from tests.system.rig.link import SlowLink, slow_link
+from tests.system.chaos.link import SlowLink, slow_link
+from tests.system.cluster import House, environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

@@ -9,11 +9,11 @@ from kleinkram.contract.rights import Right
 from kleinkram.server import rate_limit
 from kleinkram.server.context import AppContext
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import USER_AGENT, Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 OTHER_PASSWORD = "a wholly different one"
 

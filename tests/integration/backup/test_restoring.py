@@ -15,6 +15,7 @@ from kleinkram.server.backup.bucket import BucketShelf
 from kleinkram.server.backup.failing import BackupError, InTheWay
 from kleinkram.server.settings import plain_dsn
 from kleinkram.server.storage import Storage
+from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
     Sites,
     back_up,
@@ -29,8 +30,7 @@ from tests.integration.backup.sites import (
 )
 from tests.integration.conftest import StartApi
 from tests.integration.next_migration import NEXT, add_migration
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 
 def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ import pytest
 
 from kleinkram.server.blobs.proving import read_through
 from kleinkram.server.context import AppContext
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.fault_proxy import Asked, Cut, Middleman, Reply, Rule, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, Middleman, Reply, Rule, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
-from tests.stack import RunningStore
+from tests.integration.upload_client import upload
+from tests.services import RunningStore
 
 
 def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -> None:

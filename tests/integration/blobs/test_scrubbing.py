@@ -12,10 +12,10 @@ from kleinkram.server.blobs import scrubbing, scrubs
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.storage import Storage
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import begin, fetch, send, upload, upload_all, wait_until
+from tests.integration.upload_client import begin, fetch, send, upload, upload_all, wait_until
 
 _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo' AND priority < 0"
 

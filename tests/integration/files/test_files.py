@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 

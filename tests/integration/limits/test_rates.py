@@ -16,9 +16,9 @@ from kleinkram.server import rate_limit
 from kleinkram.server.context import AppContext
 from kleinkram.server.rate_limit import Count, forget_counts, limit
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 _KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
 

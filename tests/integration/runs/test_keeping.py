@@ -13,10 +13,10 @@ from kleinkram.server.events.hub import MOST_STREAMS
 from kleinkram.server.runs.jobs import tend_once
 from kleinkram.server.storage import Storage
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Place, Played, another, launch
-from tests.integration.uploading import crc64, send, sha256, wait_until
+from tests.integration.upload_client import crc64, send, sha256, wait_until
 
 
 def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:

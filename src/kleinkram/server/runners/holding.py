@@ -29,13 +29,13 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
+from kleinkram.server.files.topics import to_topics, topic_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.service import thinned
 from kleinkram.server.runs.ending import end_run
 from kleinkram.server.runs.putting_back import put_back
-from kleinkram.server.search.topics import to_topics, topic_rows
 from kleinkram.server.storage import PartTarget
 from kleinkram.server.tables import (
     blob,

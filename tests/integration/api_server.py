@@ -22,7 +22,7 @@ from sqlalchemy import event
 from kleinkram.server.app import create_app
 from kleinkram.server.serving import ApiServer
 from kleinkram.server.settings import Settings
-from tests.integration.described import see_that_it_is_described
+from tests.integration.openapi_check import assert_is_described
 
 Query = Sequence[tuple[str, str]] | Mapping[str, str]
 
@@ -82,7 +82,7 @@ class Api:
         is_text = answer.headers.get("content-type", "").startswith(("text/", "application/jsonl"))
         parsed = answer.data.decode() if is_text else json.loads(answer.data) if answer.data else None
         told = Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
-        see_that_it_is_described(method, f"/api/v1{path}", told.status, told.body)
+        assert_is_described(method, f"/api/v1{path}", told.status, told.body)
         return told
 
     def get(self, path: str, query: Query = ()) -> Answer:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.lacking import missing
+from tests.requirements import missing
 
 MIB = 1024 * 1024
 _APART = ("unshare", "--mount", "--propagation", "private")

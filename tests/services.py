@@ -1,6 +1,6 @@
 """A private PostgreSQL and a private S3 store for a test session: real ones, started once, gone at its end.
 
-Use with `pytest_plugins = ["tests.stack"]`, or `-p tests.stack`. Both die with pytest, however it dies.
+Use with `pytest_plugins = ["tests.services"]`, or `-p tests.services`. Both die with pytest, however it dies.
 """
 
 import itertools

@@ -6,7 +6,7 @@ By libfaketime, which is loaded before a program's own libraries; monotonic time
 import importlib.util
 from pathlib import Path
 
-from tests.lacking import missing
+from tests.requirements import missing
 
 _LIBRARY = "vendor/libfaketime/src/libfaketime.so.1"
 # Python looks for this module at its start. What is not the server's stays at the right time, as the supervisor must:

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.lacking import missing, need
+from tests.requirements import missing, need
 
 _TUN = Path("/dev/net/tun")
 _TUNSETIFF = 0x400454CA

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
 from urllib.parse import parse_qsl, urlsplit
 
-from tests.serving import Server
+from tests.http_server import Server
 
 _OF_ONE_HOP = {"connection", "transfer-encoding", "keep-alive", "expect"}
 

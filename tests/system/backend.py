@@ -16,7 +16,7 @@ from kleinkram.server.storage import open_storage
 from kleinkram.server.uploads.jobs import tend_uploads
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import DATABASE, SERVE
-from tests.system.house import House
+from tests.system.cluster import House
 
 T = TypeVar("T")
 # What start-up probes write and delete: a kill between the two leaves one, of a few bytes.

@@ -9,7 +9,7 @@ from typing import Any
 import urllib3
 from awscrt.checksums import crc64nvme
 
-from tests.integration.running import Answer, Api
+from tests.integration.api_server import Answer, Api
 
 _POOL = urllib3.PoolManager(retries=False, timeout=30, maxsize=4)
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlencode, urlsplit
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 _PATIENCE_S = 20.0
 

@@ -1,7 +1,7 @@
-"""What a machine lacks: skipped out loud, a failure where all is required, installed only by who asks for it.
+"""System packages that tests need. Without them a test is skipped with a reason; if all are required, it fails.
 
-`python -m tests.lacking` tells what the slow tests need and do not find. With KLEINKRAM_TEST_INSTALL=1 it installs it,
-before any test runs: two test processes that install at once would stand in each other's way.
+`python -m tests.requirements` lists what the slow tests need and this machine lacks. With KLEINKRAM_TEST_INSTALL=1 it
+installs them before any test runs, because two test processes cannot install at the same time.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def need_node() -> Path:
     return _node_folder()
 
 
-_HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.lacking installs what tests need"
+_HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
 
 
 def _node_folder() -> Path:

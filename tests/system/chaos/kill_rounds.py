@@ -18,8 +18,8 @@ import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
 from tests.acceptance.conftest import wait_until
-from tests.system import behind
-from tests.system.house import House
+from tests.system import backend
+from tests.system.cluster import House
 
 VICTIMS = ("client", "api", "worker", "runner", "postgres", "store", "supervisor")
 CONNECTIONS = 4
@@ -107,7 +107,7 @@ def _held_bytes(house: House) -> int:
 
     def is_weighed() -> bool:
         with contextlib.suppress(StoreUnavailable):
-            weighed.append(behind.held_bytes(house))
+            weighed.append(backend.held_bytes(house))
         return bool(weighed)
 
     wait_until(is_weighed, "the store to be back")

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from tests.lacking import need, need_node, path_of
 from tests.ports import choose_port
+from tests.requirements import need, need_node, path_of
 
 CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"
 
