@@ -124,7 +124,7 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
 def _hello(lab: _Lab, label: str) -> str:
     runner_id = str(uuid.uuid4())
     said = {"id": runner_id, "name": "bench", "labels": [label], "capacity": _ROOM, "abilities": _ABILITIES}
-    status, answer = lab.ask("runners", {**said, "stock_image": "sha256:stock", "version": "0"})
+    status, answer = lab.ask("runners", {**said, "default_image": "sha256:stock", "version": "0"})
     if status != 200:
         raise SystemExit(f"a runner was not let in: {answer}")
     return runner_id

@@ -195,7 +195,7 @@ CREATE TABLE runner (
     labels text[] NOT NULL DEFAULT '{}',
     capacity jsonb NOT NULL,
     abilities jsonb NOT NULL,
-    stock_image text,
+    default_image text,
     version text NOT NULL,
     created_at timestamptz NOT NULL DEFAULT now(),
     last_seen_at timestamptz NOT NULL DEFAULT now()
@@ -582,17 +582,17 @@ CREATE INDEX ix_run_runner_id ON run (runner_id);
 CREATE INDEX ix_run_started_by_id ON run (started_by_id);
 CREATE INDEX ix_run_version_id ON run (version_id);
 
-CREATE TABLE log_segment (
-    key text CONSTRAINT pk_log_segment PRIMARY KEY,
+CREATE TABLE log_chunk (
+    key text CONSTRAINT pk_log_chunk PRIMARY KEY,
     store_id text NOT NULL DEFAULT 'main',
-    run_id uuid CONSTRAINT fk_log_segment_run_id_run REFERENCES run (id) ON DELETE SET NULL,
+    run_id uuid CONSTRAINT fk_log_chunk_run_id_run REFERENCES run (id) ON DELETE SET NULL,
     attempt integer NOT NULL,
     offset_bytes bigint NOT NULL,
     size_bytes bigint NOT NULL,
     kept_at timestamptz,
     created_at timestamptz NOT NULL DEFAULT now()
 );
-CREATE INDEX ix_log_segment_run_id ON log_segment (run_id, attempt, offset_bytes);
+CREATE INDEX ix_log_chunk_run_id ON log_chunk (run_id, attempt, offset_bytes);
 
 CREATE TABLE run_artifact (
     id uuid CONSTRAINT pk_run_artifact PRIMARY KEY,
