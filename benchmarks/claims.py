@@ -124,15 +124,15 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
 def _hello(lab: _Lab, label: str) -> str:
     runner_id = str(uuid.uuid4())
     runner = {"id": runner_id, "name": "bench", "labels": [label], "capacity": _ROOM, "abilities": _ABILITIES}
-    status, answer = lab.ask("runners", {**runner, "stock_image": "sha256:stock", "version": "0"})
+    status, answer = lab.ask("runners", {**runner, "default_image": "sha256:stock", "version": "0"})
     if status != 200:
         raise SystemExit(f"a runner was not let in: {answer}")
     return runner_id
 
 
 def _finish(lab: _Lab, claim: dict[str, Any]) -> int:
-    runner = {"attempt": claim["attempt"], "reason": "done", "message": "", "exit_code": 0}
-    status, _ = lab.ask(f"runner/runs/{claim['run_id']}/finish", runner)
+    report = {"attempt": claim["attempt"], "reason": "done", "message": "", "exit_code": 0}
+    status, _ = lab.ask(f"runner/runs/{claim['run_id']}/finish", report)
     return status
 
 

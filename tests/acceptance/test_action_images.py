@@ -22,13 +22,13 @@ STOCK = "kleinkram/action-python:latest"
 
 @pytest.fixture
 def containers(docker: Dockerd, terminal: Terminal, tmp_path: Path) -> Terminal:  # noqa: F811  the fixture
-    """A terminal beside an engine that has an image with open-kleinkram, under the name of the stock image."""
+    """A terminal beside an engine that has an image with open-kleinkram, under the name of the default image."""
     add_stock(docker, tmp_path / "base")
     return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
 
 
 def add_stock(engine: Dockerd, context: Path) -> None:
-    """Build an image with open-kleinkram in a folder, and give it the stock image's name."""
+    """Build an image with open-kleinkram in a folder, and give it the default image's name."""
     copy_package(context / "site")
     for library in sorted({library for file in context.rglob("*.so*") for library in libraries_of(file)}):
         target = context / "libs" / library[1:]

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
+from kleinkram.server import worker
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue

@@ -9,7 +9,6 @@ from fastapi.routing import APIRoute
 
 import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
-from kleinkram.server.access.owner import let_owner_in
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
@@ -37,6 +36,7 @@ from kleinkram.server.jobs.queue import queue
 from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
+from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
 from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects

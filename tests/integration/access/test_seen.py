@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import pytest
 
 from kleinkram.server.access import few
-from kleinkram.server.search import looking
+from kleinkram.server.filters import looking
 from tests.integration.access import seen
 from tests.integration.access.seen import Eye, File, Lab, Mission, Project
 from tests.integration.api_server import Api

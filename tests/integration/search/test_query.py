@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.search.words import MOST_WORDS
+from kleinkram.server.filters.text import MOST_WORDS
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

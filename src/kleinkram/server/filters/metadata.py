@@ -14,7 +14,7 @@ from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.server.dates import iso_text
-from kleinkram.server.search.globs import like_pattern
+from kleinkram.server.filters.patterns import like_pattern
 from kleinkram.server.tables import mission
 
 _NUMBER = re.compile(r"[-+]?(\d{1,18}|\d{0,18}\.\d{1,18}|\d{1,18}\.)([eE][-+]?\d{1,2})?", re.ASCII)

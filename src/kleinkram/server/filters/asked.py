@@ -12,7 +12,7 @@ from kleinkram.contract.query.words import joined
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.looked import Found
 from kleinkram.server.access.whoever import asking, whoever
-from kleinkram.server.search.words import in_general, values_of, words_of
+from kleinkram.server.filters.text import in_general, values_of, words_of
 
 _ANY_FOUND = Found(0, "", "", "", "", is_general=True)
 Filter = TypeVar("Filter", MissionFilter, FileFilter)

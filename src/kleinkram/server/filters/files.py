@@ -41,10 +41,10 @@ from kleinkram.server.access.looked import Found
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.dates import nanoseconds
 from kleinkram.server.db import Written
-from kleinkram.server.search.globs import holds_word, key_holds_word, matches_any, matches_key
-from kleinkram.server.search.kept import is_there, may_have_topic, where_it_may_be
-from kleinkram.server.search.where import condition
-from kleinkram.server.search.words import (
+from kleinkram.server.filters.kept import is_there, may_have_topic, where_it_may_be
+from kleinkram.server.filters.metadata import condition
+from kleinkram.server.filters.patterns import holds_word, key_holds_word, matches_any, matches_key
+from kleinkram.server.filters.text import (
     blob_has_topic,
     file_holds,
     holds,

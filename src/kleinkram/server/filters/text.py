@@ -40,8 +40,8 @@ from kleinkram.server.access.looked import NONE_AT_ALL, Said
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection, Written
-from kleinkram.server.search.globs import ESCAPE, containing
-from kleinkram.server.search.kept import is_there, may_have_topic
+from kleinkram.server.filters.kept import is_there, may_have_topic
+from kleinkram.server.filters.patterns import ESCAPE, containing
 from kleinkram.server.tables import file, mission, mission_topic, project, topic, topic_name
 
 Conditions = list[ColumnElement[bool]]

@@ -19,9 +19,9 @@ from kleinkram.server.access.looked import NONE_AT_ALL, Looked
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection, among_given
-from kleinkram.server.search.asked import Asked, asked_alike, values
-from kleinkram.server.search.matching import file_conditions
-from kleinkram.server.search.words import file_holds, has_index, is_known_untimed, look_up, words_of
+from kleinkram.server.filters.asked import Asked, asked_alike, values
+from kleinkram.server.filters.files import file_conditions
+from kleinkram.server.filters.text import file_holds, has_index, is_known_untimed, look_up, words_of
 from kleinkram.server.tables import file, mission, topic
 
 # Files drawn, and how many of them must be found for there to be many: with those, an estimate is off by a third.
