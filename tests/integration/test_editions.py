@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.client import connect
-from kleinkram.contract.errors import EditedMeanwhile
+from kleinkram.contract.errors import EditConflict
 from tests.integration.people import person
 from tests.integration.races import racing
 from tests.integration.running import Answer, Api
@@ -74,7 +74,7 @@ def test_whoever_comes_second_is_told(api: Api, made: dict[str, Any], noun: str,
     with racing(api, _HOLD[noun], seen["id"]) as send:
         both = [send(_change, api, noun, seen, body) for body in (first, second)]
     kept = both[0].result(30).ok()
-    problem = both[1].result(30).refused(412, "edited_meanwhile")
+    problem = both[1].result(30).refused(412, "edit_conflict")
     assert problem["edition"] == kept["edition"] != seen["edition"]
     assert "changed by somebody else" in problem["detail"]
     now = api.get(f"/{noun}/{seen['id']}").ok()
@@ -99,7 +99,7 @@ def test_of_two_who_publish_the_next_version_the_second_is_told(api: Api, made: 
     with racing(api, _HOLD["actions"], seen["id"]) as send:
         both = [send(publish, script, seen["edition"]) for script in ("2", "3")]
     kept = both[0].result(30).ok(201)
-    assert both[1].result(30).refused(412, "edited_meanwhile")["edition"] == kept["edition"] != seen["edition"]
+    assert both[1].result(30).refused(412, "edit_conflict")["edition"] == kept["edition"] != seen["edition"]
     assert publish("2", seen["edition"]).ok(201) == kept, "an answer was lost, and asked for again"
     assert publish("3", kept["edition"]).ok(201)["latest"]["number"] == 3
 
@@ -112,7 +112,7 @@ def test_of_two_who_say_how_somebody_is_in_a_group_the_second_is_told(api: Api, 
     seen = put({}, None).ok()
     put({"is_editor": True}, seen).ok()
     until = {"expires_at": "2100-01-01T00:00:00Z"}
-    problem = put(until, seen).refused(412, "edited_meanwhile")
+    problem = put(until, seen).refused(412, "edit_conflict")
     assert put(until, problem).ok()["is_editor"] is False, "having looked again, they may"
     assert put({"expires_at": "2100-01-01T01:00:00+01:00"}, seen).ok()["edition"] != seen["edition"], "it is so already"
     api.delete(path).ok(204)
@@ -139,7 +139,7 @@ def test_the_sdk_raises_it_by_its_name(api: Api, made: dict[str, Any]) -> None:
     with connect(api.url, api.token) as client:
         seen = client.missions.get(made["missions"]["id"])
         client.missions.update(seen.id, if_edition=seen.edition, notes="mine")
-        with pytest.raises(EditedMeanwhile, match="changed by somebody else"):
+        with pytest.raises(EditConflict, match="changed by somebody else"):
             client.missions.update(seen.id, if_edition=seen.edition, notes="yours")
         assert client.missions.get(seen.id).notes == "mine"
 
@@ -154,5 +154,5 @@ def test_the_terminal_says_so_and_ends_with_conflict(
         app, ["mission", "update", seen["id"], "--notes", notes, "--edition", seen["edition"]]
     )
     assert change("mine").exit_code == 0
-    assert isinstance(change("yours").exception, EditedMeanwhile)
+    assert isinstance(change("yours").exception, EditConflict)
     assert api.get(f"/missions/{seen['id']}").ok()["notes"] == "mine"

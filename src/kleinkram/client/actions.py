@@ -81,7 +81,7 @@ class Actions:
 
         Raises:
             Forbidden: it is not yours to change.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(VersionCreate, "The version", definition=definition)
         return self._api.send("POST", f"/actions/{self._id(action_id)}/versions", ActionRead, body, edition=if_edition)
@@ -110,7 +110,7 @@ class Actions:
 
         Raises:
             Forbidden: it is not yours to change.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(ActionUpdate, "The action", archived=archived)
         return self._api.patch(f"/actions/{self._id(action_id)}", ActionRead, body, edition=if_edition)

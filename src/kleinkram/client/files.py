@@ -124,7 +124,7 @@ class Files:
         Raises:
             FileExists, PathConflict: the new place is taken.
             InvalidInput: the path or a label is not usable.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(FileUpdate, "The file", **changes)
         return self._api.patch(f"/files/{self.id_of(file_id)}", FileRead, body, edition=if_edition)

@@ -59,7 +59,7 @@ class Groups:
         Raises:
             NameTaken, InvalidInput: as in `create`.
             GroupFixed: its name is in the server's settings.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(GroupUpdate, "The group", name=name)
         return self._api.patch(f"/groups/{self.id_of(group)}", GroupRead, body, edition=if_edition)
@@ -93,7 +93,7 @@ class Groups:
         Raises:
             NotFound: there is nobody of that name or id whom one may know of; with `if_edition`, in the group.
             InvalidInput: the time has no zone.
-            EditedMeanwhile: the membership is of another edition by now.
+            EditConflict: the membership is of another edition by now.
         """
         body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
         return self._api.send("PUT", self._member(group, person), MemberRead, body, edition=if_edition)

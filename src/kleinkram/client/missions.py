@@ -164,7 +164,7 @@ class Missions:
 
         Raises:
             MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(MissionUpdate, "The mission", **changes)
         return self._api.patch(f"/missions/{self.id_of(mission_id)}", MissionRead, body, edition=if_edition)

@@ -87,7 +87,7 @@ class Projects:
         Raises:
             NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
             Forbidden: to publish is for owners, quotas are for admins.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another edition by now.
         """
         body = checked(ProjectUpdate, "The project", **changes)
         return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, edition=if_edition)

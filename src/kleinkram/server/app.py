@@ -9,7 +9,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
-from kleinkram.contract.errors import ProblemDocument
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.access.owner import let_owner_in
 from kleinkram.server.actions.routes import router as actions

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import Header
 
-from kleinkram.contract.errors import EditedMeanwhile
+from kleinkram.contract.errors import EditConflict
 
 # Source: RFC 9110, "If-Match".
 IfMatch = Annotated[
@@ -16,10 +16,10 @@ def require_edition(if_match: str | None, edition: str, *, noun: str, name: str)
     """See that a thing is still of an edition that its editor looked at; who names none is not asked.
 
     Raises:
-        EditedMeanwhile: it is of another one by now.
+        EditConflict: it is of another one by now.
     """
     if if_match is None:
         return
     looked_at = {each.strip().removeprefix("W/").strip('"') for each in if_match.split(",")}
     if not looked_at & {edition, "*"}:
-        raise EditedMeanwhile(noun=noun, name=name, edition=edition)
+        raise EditConflict(noun=noun, name=name, edition=edition)

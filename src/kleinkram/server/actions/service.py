@@ -88,7 +88,7 @@ async def add_version(
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but not change it.
         InvalidRequest: it has another name.
-        EditedMeanwhile: it is not of the edition in `if_match` any more: somebody published one, or archived it.
+        EditConflict: it is not of the edition in `if_match` any more: somebody published one, or archived it.
     """
     old = await _changeable(db, actor, action_id)
     if name_key(definition.name) != name_key(old.name):
@@ -112,7 +112,7 @@ async def set_archived(
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but not change it.
         NameTaken: another one has its name by now.
-        EditedMeanwhile: it is not of the edition in `if_match` any more.
+        EditConflict: it is not of the edition in `if_match` any more.
     """
     old = await _changeable(db, actor, action_id)
     if old.archived is archived:
@@ -177,7 +177,7 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     await db.execute(locked)
     found = await get_action(db, actor, action_id)
     if not found.may_change:
-        needs = "WRITE on its project" if found.project else "its maker or an admin"
+        needs = "WRITE on its project" if found.project else "admin rights, or to be the person who created it"
         raise Forbidden(noun="action", operation="change the action", needs=needs)
     return found
 

@@ -169,7 +169,7 @@ async def update_file(
         NameTaken: there is a file of that path.
         QuotaExceeded: the project to move it to has no room for it.
         PathConflict: the path is a folder there, or needs a folder where a file is.
-        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
+        EditConflict: it is not of the edition in `if_match` any more, and what is asked for is not so already.
     """
     old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
     mission_id = changes.mission_id or old.mission_id

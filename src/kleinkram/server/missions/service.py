@@ -204,7 +204,7 @@ async def update_mission(
         MetadataInvalid: new metadata does not satisfy the project.
         NameTaken: the project has a mission of that name.
         QuotaExceeded: the project to move it to has no room for it.
-        EditedMeanwhile: it is not of the edition in `if_match` any more.
+        EditConflict: it is not of the edition in `if_match` any more.
     """
     is_said = changes.metadata_yaml is not None or changes.metadata is not None
     document = await _said_in(changes) if is_said else None

@@ -103,7 +103,7 @@ async def update_project(
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
-        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
+        EditConflict: it is not of the edition in `if_match` any more, and what is asked for is not so already.
     """
     fields = await _declared(changes)
     await db.execute(queries.lock_project(actor, project_id))
