@@ -94,7 +94,7 @@ def test_the_last_way_in_stays(lab: Lab) -> None:
     browser = lab.sign_in("only", **known_as(any_email()))
     (only,) = _identities(browser)
     assert only["is_last"] is True
-    assert "only way left" in _unlink(browser, only).refused(409, "last_sign_in_method")["detail"]
+    assert "last way to sign in" in _unlink(browser, only).refused(409, "last_sign_in_method")["detail"]
     second = _link(lab, browser, "only's second")
     assert [each["is_last"] for each in _identities(browser)] == [False, False]
     _unlink(browser, only).ok(204)
