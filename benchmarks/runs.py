@@ -21,7 +21,7 @@ from typing import Any
 
 import urllib3
 from tests.integration.runner.engines import IMAGE, PROGRAMS, Dockerd, python_root
-from tests.lacking import path_of
+from tests.requirements import path_of
 
 _TIMES = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6")) * 2
 _MANY = int(os.environ.get("KLEINKRAM_BENCH_RUNS", "200"))

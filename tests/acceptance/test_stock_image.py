@@ -12,7 +12,7 @@ import pytest
 from tests.acceptance.conftest import Terminal
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
-from tests.lacking import missing, need
+from tests.requirements import missing, need
 
 pytestmark = pytest.mark.soak
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from types import FrameType
 
 from tests.fuzz import seeds
-from tests.fuzz.mutating import mutated
-from tests.fuzz.promises import check
+from tests.fuzz.invariants import check
+from tests.fuzz.mutations import mutated
 
 _MEMORY_BYTES = 1536 * 2**20
 _GROWTH_BYTES = 200 * 2**20

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from kleinkram.contract.names import name_key
 from kleinkram.contract.rights import GroupKind, Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 # Seconds from now by the database's clock; below zero for what has expired, None for what does not.
 Expiry = float | None

@@ -9,7 +9,7 @@ from typing import Any
 
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.groups import OWNER_ID
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
 
 KLEIN = Path(sys.executable).parent / "klein"
 Klein = Callable[..., "subprocess.CompletedProcess[str]"]

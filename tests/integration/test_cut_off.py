@@ -23,13 +23,13 @@ from kleinkram.contract.events import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Played, launch
-from tests.integration.uploading import upload as upload_one
-from tests.integration.uploading import wait_until
-from tests.stack import RunningStore
-from tests.system.rig.cutting import Cutter, cutting
+from tests.integration.upload_client import upload as upload_one
+from tests.integration.upload_client import wait_until
+from tests.services import RunningStore
+from tests.system.chaos.cutting_proxy import Cutter, cutting
 
 pytestmark = pytest.mark.slow
 _AFTER_S = 1.5

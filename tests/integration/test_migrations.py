@@ -9,7 +9,7 @@ from alembic import command
 from alembic.script import ScriptDirectory
 
 from kleinkram.server.migrations import HEAD, alembic_config
-from tests.stack import RunningPostgres
+from tests.services import RunningPostgres
 
 _WORDS = """
 SELECT index.reloptions::text FROM pg_class index JOIN pg_am ON pg_am.oid = index.relam

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 _WAITING = 3000
 _NEXT = "SELECT id FROM procrastinate_fetch_job_v2(ARRAY['long'], NULL)"

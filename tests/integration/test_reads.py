@@ -11,11 +11,11 @@ from urllib.parse import urlsplit
 import psycopg
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
-from tests.stack import RunningPostgres
+from tests.integration.upload_client import wait_until
+from tests.services import RunningPostgres
 
 pytestmark = pytest.mark.slow
 _CONNECTIONS = 3

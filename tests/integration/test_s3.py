@@ -22,9 +22,9 @@ from kleinkram.server.settings import Settings
 from kleinkram.server.signing import Presigner
 from kleinkram.server.storage import Storage, open_storage
 from tests.certificate import make_certificate
-from tests.integration.running import Api
+from tests.http_server import Server
+from tests.integration.api_server import Api
 from tests.ports import choose_port
-from tests.serving import Server
 
 
 @dataclass(frozen=True)

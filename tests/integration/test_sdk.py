@@ -21,8 +21,8 @@ from kleinkram.contract.errors import KleinkramError, MetadataInvalid, NotFound
 from kleinkram.contract.rights import Right, TokenKind
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
+from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
 
 START_NS = 1_714_550_400 * 10**9
 

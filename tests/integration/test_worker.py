@@ -17,9 +17,9 @@ import urllib3
 from kleinkram.server.migrations.upgrading import migrate
 from kleinkram.standalone import binaries, child
 from kleinkram.standalone import postgres as pg
-from tests.integration.uploading import wait_until
+from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
-from tests.stack import RunningStore
+from tests.services import RunningStore
 
 pytestmark = pytest.mark.timeout(400)
 _IN_WORKER = "SELECT count(*) FROM procrastinate_workers WHERE last_heartbeat > now() - interval '20 s'"

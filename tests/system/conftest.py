@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import Terminal
-from tests.lacking import missing, need
-from tests.system.house import House, environment
+from tests.requirements import missing, need
+from tests.system.cluster import House, environment
 
 
 @dataclass(frozen=True)

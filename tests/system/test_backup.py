@@ -12,7 +12,7 @@ import pytest
 
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import KLEIN, wait_until
-from tests.system.house import House, environment
+from tests.system.cluster import House, environment
 
 _LARGE_BYTES, _RATE = 40_000_000, "4M"
 

@@ -15,8 +15,8 @@ import urllib3
 
 from tests.acceptance.browser import Browser, line_with
 from tests.acceptance.conftest import Terminal, end
-from tests.system.house import House, environment
-from tests.system.rig.clocks import wrong_at_server, wrong_clock
+from tests.system.chaos.clocks import wrong_at_server, wrong_clock
+from tests.system.cluster import House, environment
 
 pytestmark = pytest.mark.slow
 

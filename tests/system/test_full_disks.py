@@ -18,9 +18,9 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import ADMIN
 from tests.acceptance.conftest import end, wait_until
-from tests.system import behind
-from tests.system.house import House
-from tests.system.rig.disks import MIB, SmallDisk, need_small_disks, small_disk
+from tests.system import backend
+from tests.system.chaos.disks import MIB, SmallDisk, need_small_disks, small_disk
+from tests.system.cluster import House
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -109,8 +109,8 @@ def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
     wait_until(lambda: terminal.run("project", "list", code=None).code == 0, "the database to be back")
     terminal.run("upload", "-p", "p", "-m", "m", coming)
     terminal.run("verify", "-p", "p", "-m", "m", kept, coming)
-    behind.tidy(house)
-    assert behind.objects(house) == dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
+    backend.tidy(house)
+    assert backend.objects(house) == dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
 
 
 def _fill_a_table(house: House) -> None:

@@ -14,9 +14,9 @@ import pytest
 
 from kleinkram.contract.uploads import MIN_PART_BYTES
 from tests.acceptance.conftest import wait_until
-from tests.system import behind
-from tests.system.house import House
-from tests.system.rig.rounds import CONNECTIONS, MB, Round, fill, say, turns, upload_under_fire
+from tests.system import backend
+from tests.system.chaos.kill_rounds import CONNECTIONS, MB, Round, fill, say, turns, upload_under_fire
+from tests.system.cluster import House
 
 # Of ten rounds in CI one is of the full size. Each has what a full one has: large files of several parts, and more
 # small ones than are announced at once. What more bytes add is time.
@@ -106,20 +106,20 @@ def _launch(house: House) -> str:
 
 def _all_is_well(house: House, rounds: list[Round]) -> None:
     wait_until(lambda: all(house.told()["parts"].values()), "every part to run")
-    behind.tidy(house)
-    assert behind.sql(house, _UNFINISHED) == [], "no name is blocked"
-    wait_until(lambda: behind.sql(house, _UNPROVEN) == [(0,)], "the server to have read all bytes")
+    backend.tidy(house)
+    assert backend.sql(house, _UNFINISHED) == [], "no name is blocked"
+    wait_until(lambda: backend.sql(house, _UNPROVEN) == [(0,)], "the server to have read all bytes")
     for one in rounds:
-        assert dict(behind.sql(house, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
+        assert dict(backend.sql(house, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
     wait_until(lambda: all(_is_over(house, run) for one in rounds for run in one.runs), "the runs to end")
     for run in (run for one in rounds for run in one.runs):
         said = house.terminal.run("run", "info", run, "--json").json()
         assert (said["state"], said["artifact_count"]) == ("done", 1), said
-    behind.tidy(house)
-    kept = dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
-    assert behind.objects(house) == kept, "objects that nobody refers to, or none where one should be"
-    assert behind.open_multiparts(house) == []
+    backend.tidy(house)
+    kept = dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
+    assert backend.objects(house) == kept, "objects that nobody refers to, or none where one should be"
+    assert backend.open_multiparts(house) == []
 
 
 def _is_over(house: House, run: str) -> bool:
-    return behind.sql(house, "SELECT ended_at IS NOT NULL FROM run WHERE id = %s", run) == [(True,)]
+    return backend.sql(house, "SELECT ended_at IS NOT NULL FROM run WHERE id = %s", run) == [(True,)]

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from kleinkram.client import connect
-from kleinkram.server.site import Site
-from tests.system import behind
-from tests.system.house import House
+from kleinkram.server.context import AppContext
+from tests.system import backend
+from tests.system.cluster import House
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -19,15 +19,15 @@ _HARM = {"gone.bin": ("lost", "no longer"), "cut.bin": ("corrupt", "1000 bytes")
 
 def _harm(house: House, bodies: dict[str, bytes]) -> None:
     """Do behind the server's back to each object what its file's name says."""
-    keys = dict(behind.sql(house, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
+    keys = dict(backend.sql(house, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
     altered = bodies["altered.bin"]
 
-    async def do(site: Site) -> None:
-        await site.storage.delete(keys["gone.bin"])
-        await site.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
-        await site.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+    async def do(context: AppContext) -> None:
+        await context.storage.delete(keys["gone.bin"])
+        await context.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await context.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
-    behind.on_site(house, do)
+    backend.on_site(house, do)
 
 
 def _states(terminal: Any) -> dict[str, tuple[str, str | None]]:
@@ -70,8 +70,8 @@ def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp
     assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["stopped"]) == (0, 0, None)
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back")
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").rglob("*.bin")} == bodies
-    behind.tidy(house)
-    assert len(behind.objects(house)) == len(bodies), "what was damaged went with the sweep"
+    backend.tidy(house)
+    assert len(backend.objects(house)) == len(bodies), "what was damaged went with the sweep"
 
 
 def _flip_byte(house: House, needle: bytes) -> None:

@@ -14,8 +14,8 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import pytest
 import urllib3
 
-from tests.system.house import House
-from tests.system.signing_in import CLIENT_ID, CLIENT_SECRET, Chromium, RealProvider, _chromium, _driver, _node
+from tests.system.cluster import House
+from tests.system.oidc_sign_in import CLIENT_ID, CLIENT_SECRET, Chromium, RealProvider, _chromium, _driver, _node
 
 __all__ = ["_chromium", "_driver", "_node"]
 pytestmark = pytest.mark.slow

@@ -22,8 +22,8 @@ import urllib3
 from kleinkram.client import Client, connect
 from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
 from kleinkram.standalone.binaries import locate_weed
-from tests.integration.uploading import checksum, crc64, sha256
-from tests.system.house import House
+from tests.integration.upload_client import checksum, crc64, sha256
+from tests.system.cluster import House
 
 # What SeaweedFS is to drop, it marks within a second or so; the bytes can be read until their volume is cleared up.
 _MARKED_S = 3

@@ -21,8 +21,8 @@ from kleinkram.client.transfer import plan_upload, upload
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import FileFilter
 from tests.acceptance.conftest import wait_until
-from tests.system import behind
-from tests.system.house import House
+from tests.system import backend
+from tests.system.cluster import House
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -76,10 +76,10 @@ def test_twenty_clients_read_and_upload_while_the_api_and_the_database_come_and_
             _end_and_wait(house, part, sign)
         for each in working:
             each.result()
-    counted = Counter(behind.sql(house, _FILES_OF_ALL))
+    counted = Counter(backend.sql(house, _FILES_OF_ALL))
     assert counted == Counter((f"client {number}", file.name) for number in range(_CLIENTS) for file in files)
-    behind.tidy(house)
-    assert behind.objects(house) == dict(behind.sql(house, "SELECT key, size_bytes FROM blob"))
+    backend.tidy(house)
+    assert backend.objects(house) == dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
 
 
 def _write(path: Path) -> Path:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.lacking import need, path_of
-from tests.system.house import House
+from tests.requirements import need, path_of
+from tests.system.cluster import House
 
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="

@@ -13,8 +13,8 @@ import pytest
 from benchmarks.scale import seed
 from benchmarks.scale.places import seeded
 
-from tests.system.house import House
-from tests.system.rig.rounds import say
+from tests.system.chaos.kill_rounds import say
+from tests.system.cluster import House
 
 _SECONDS = float(os.environ.get("KLEINKRAM_SOAK_S", "3600"))
 _CLIENTS, _LOOKS = 10, 60

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import end, wait_until
-from tests.system import behind
-from tests.system.house import House
-from tests.system.rig.disks import MIB, SmallDisk, need_small_disks, small_disk
+from tests.system import backend
+from tests.system.chaos.disks import MIB, SmallDisk, need_small_disks, small_disk
+from tests.system.cluster import House
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -29,7 +29,7 @@ def _file(path: Path, size_bytes: int) -> Path:
 
 def _files_of(house: House, mission: str) -> list[str]:
     statement = "SELECT path FROM file JOIN mission ON mission.id = mission_id WHERE mission.name = %s"
-    return [path for (path,) in behind.sql(house, statement, mission)]
+    return [path for (path,) in backend.sql(house, statement, mission)]
 
 
 def _away(house: House) -> None:

@@ -13,8 +13,8 @@ import pytest
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import Terminal
 from tests.certificate import make_certificate
+from tests.system.cluster import House
 from tests.system.conftest import OtherMachine
-from tests.system.house import House
 
 pytestmark = pytest.mark.slow
 

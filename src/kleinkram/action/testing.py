@@ -124,7 +124,7 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
         place.write_bytes(content)
     else:
         shutil.copyfile(content, place)
-    said: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"edition"})
+    said: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"etag"})
     said |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
     said |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
     said |= {"uploaded_by": _NOBODY, "created_at": _THEN, "labels": [], "compression": [], "problems": [], "facts": []}
@@ -132,7 +132,7 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
 
 
 def _mission(metadata: Metadata) -> MissionRead:
-    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"edition"})
+    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
     said |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
     said |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
     said |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)

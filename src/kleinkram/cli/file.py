@@ -90,9 +90,9 @@ def update(
     with connect() as client:
         found = client.files.get(file, mission=mission, project=project)
         if label is not None or no_labels:
-            found = client.files.update(found.id, if_edition=found.edition, labels=label or [])
+            found = client.files.update(found.id, if_match=found.etag, labels=label or [])
         if path is not None:
-            found = client.files.update(found.id, if_edition=found.edition, path=path)
+            found = client.files.update(found.id, if_match=found.etag, path=path)
     show_json(found) if as_json else _show(found)
 
 

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, 
 from typing_extensions import Self
 
 from kleinkram.contract.amounts import read_duration, read_size
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -275,14 +275,14 @@ class ActionVersionRead(Response):
     created_by: PersonRef
 
 
-def _edition(said: dict[str, Any]) -> str:
-    return edition_of("action", said["id"], said["latest"].number, said["archived"])
+def _etag(said: dict[str, Any]) -> str:
+    return etag_of("action", said["id"], said["latest"].number, said["archived"])
 
 
 class ActionRead(Response):
     """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
 
-    `edition` names its latest version and whether it is archived: given back with a change or a further version, that
+    `etag` names its latest version and whether it is archived: given back with a change or a further version, that
     is refused where somebody else came first.
     """
 
@@ -295,7 +295,7 @@ class ActionRead(Response):
     created_at: datetime.datetime
     created_by: PersonRef
     may_change: bool
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
 class ActionFilter(Request):

@@ -378,7 +378,7 @@ class EditConflict(KleinkramError):
     status = 412
     noun: str
     name: str
-    edition: str
+    etag: str
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
@@ -66,8 +66,8 @@ class FileProblem(Response):
     message: str
 
 
-def _edition(said: dict[str, Any]) -> str:
-    return edition_of(said["path"], said["mission"].id, said["labels"])
+def _etag(said: dict[str, Any]) -> str:
+    return etag_of(said["path"], said["mission"].id, said["labels"])
 
 
 class FileRead(Response):
@@ -75,7 +75,7 @@ class FileRead(Response):
 
     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `edition` names
+    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
     the path and labels that people gave it last, as with missions.
     """
 
@@ -107,7 +107,7 @@ class FileRead(Response):
     depth: ReadDepth | None
     lost: FileLoss | None
     facts: list[FileFact]
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
 class FileUpdate(Request):

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.errors import FieldProblem
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
@@ -65,10 +65,10 @@ class MissionUpdate(_SaidOnce):
     completed: bool | None = None
 
 
-def _edition(said: dict[str, Any]) -> str:
+def _etag(said: dict[str, Any]) -> str:
     words, project = (said[name] for name in ("name", "metadata_yaml", "notes")), said["project"]
     values = sorted(said["metadata"].items())
-    return edition_of(*words, values, project.id, said["completed_at"] is not None)
+    return etag_of(*words, values, project.id, said["completed_at"] is not None)
 
 
 class MissionRead(Response):
@@ -78,7 +78,7 @@ class MissionRead(Response):
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-    `edition` names what people edited last: given back with a change, that is refused where somebody else came first.
+    `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
     """
 
     id: uuid.UUID
@@ -99,7 +99,7 @@ class MissionRead(Response):
     pending_file_count: int
     recordings_current: bool
     right: Right
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
 class MissionTemplate(Response):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
@@ -66,15 +66,15 @@ class ProjectUpdate(_DeclaredOnce):
 _EDITED = ("name", "description", "is_public", "licence", "citation", "quota_bytes", "quota_files")
 
 
-def _edition(said: dict[str, Any]) -> str:
+def _etag(said: dict[str, Any]) -> str:
     fields: MetadataFields = said["metadata_fields"]
-    return edition_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
+    return etag_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
 
 
 class ProjectRead(Response):
     """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
 
-    What is used, which the quotas bound, is the files and the uploads under way. `edition` names what people edited
+    What is used, which the quotas bound, is the files and the uploads under way. `etag` names what people edited
     last, as with missions.
     """
 
@@ -97,7 +97,7 @@ class ProjectRead(Response):
     used_bytes: int
     used_files: int
     right: Right
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
 class ProjectSort(str, enum.Enum):

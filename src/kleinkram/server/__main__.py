@@ -78,8 +78,8 @@ def _check(*, as_json: bool) -> NoReturn:
 
 def _work(settings: Settings) -> None:
     with _loading():
-        from kleinkram.server.jobs.worker import run_worker
         from kleinkram.server.metrics_port import MetricsPortUnusable
+        from kleinkram.server.worker import run_worker
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
     os.nice(_NICENESS)

@@ -22,9 +22,9 @@ from schemathesis.specs.openapi.checks import (
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from tests.integration import people
 from tests.integration.access import world as worlds
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.described import see_that_it_is_described
-from tests.integration.running import Api
+from tests.integration.openapi_check import assert_is_described
 
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
@@ -99,7 +99,7 @@ def _ask(asked: Asked, case: Case[Any], who: str, *, is_known: bool) -> None:
     case.validate_response(response, checks=_CHECKS)
     body = response.json() if response.status_code >= 400 else None
     path = case.formatted_path
-    see_that_it_is_described(case.method, path, response.status_code, body)
+    assert_is_described(case.method, path, response.status_code, body)
 
 
 def _ask_much(asked: Asked, examples: int, *, operations: int | None = None) -> list[str]:

@@ -7,9 +7,9 @@ import pytest
 
 from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
-from tests.integration.running import Answer, Api
+from tests.integration.api_server import Answer, Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import begin, complete, send, sha256, upload
+from tests.integration.upload_client import begin, complete, send, sha256, upload
 
 
 def _bounded(api: Api, **quota: int | None) -> tuple[Any, Any]:

@@ -16,8 +16,8 @@ from kleinkram.server.backup.restoring import Restored, Wish, restore
 from kleinkram.server.backup.verifying import Looking, Verified, verify
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.storage import Storage, open_storage
-from tests.integration.running import Api
-from tests.stack import RunningPostgres, RunningStore
+from tests.integration.api_server import Api
+from tests.services import RunningPostgres, RunningStore
 
 # What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
 ANEW = {

@@ -17,6 +17,7 @@ from kleinkram.server.backup.failing import BackupError, InTheWay
 from kleinkram.server.migrations import HEAD, alembic_config
 from kleinkram.server.settings import plain_dsn
 from kleinkram.server.storage import Storage
+from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
     Sites,
     back_up,
@@ -30,8 +31,7 @@ from tests.integration.backup.sites import (
     write_object,
 )
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 
 def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:

@@ -16,11 +16,11 @@ from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
 from kleinkram.server.settings import Settings
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
+from tests.integration.fault_proxy import Asked, Cut, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 _MOST_AT_ONCE = 64 * 1024 * 1024
 

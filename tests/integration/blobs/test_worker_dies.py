@@ -15,9 +15,9 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.settings import Settings
-from tests.integration.middleman import Asked, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload, wait_until
+from tests.integration.api_server import Api
+from tests.integration.fault_proxy import Asked, standing_before
+from tests.integration.upload_client import upload, wait_until
 
 
 @pytest.fixture(name="api", scope="module")

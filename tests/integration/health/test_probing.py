@@ -11,9 +11,9 @@ from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.probe import probe
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import Abilities, open_storage
-from tests.integration.middleman import Asked, Lost, Reply, Rule, standing_before
-from tests.integration.running import Api
-from tests.stack import RunningStore
+from tests.integration.api_server import Api
+from tests.integration.fault_proxy import Asked, Lost, Reply, Rule, standing_before
+from tests.services import RunningStore
 
 # More than a probe asks.
 _QUESTIONS = 24

@@ -9,9 +9,9 @@ import urllib3
 
 from kleinkram.server.health import routes
 from kleinkram.server.migrations import HEAD
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
+from tests.integration.upload_client import wait_until
 
 _LATER = f"{int(HEAD) + 1:04}"
 

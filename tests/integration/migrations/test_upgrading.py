@@ -21,7 +21,7 @@ from kleinkram.server.migrations import HEAD, alembic_config
 from kleinkram.server.migrations.upgrading import LOCK, MigrationBlocked, Patience, migrate
 from tests.integration.conftest import StartApi
 from tests.integration.migrations.filling import BEFORE_RIGHTS, FILLS, NAMES, OLD_READS, OLD_WRITES
-from tests.stack import RunningPostgres
+from tests.services import RunningPostgres
 
 _ROLE = "kleinkram_serve"
 # Every revision: nothing bears a version number yet, so whatever was on the main branch may be running somewhere.

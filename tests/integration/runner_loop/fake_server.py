@@ -38,11 +38,11 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import Cause, EndReason, RunContext, RunState
 from kleinkram.contract.uploads import PartsSign, UploadsComplete
+from tests.http_server import Server
 from tests.integration.runner_loop.context import LATER, a_mission
 from tests.integration.runner_loop.fake_http import Handler
 from tests.integration.runner_loop.fake_runs import FakeRun, queued
 from tests.integration.runner_loop.fake_uploads import FakeUploads
-from tests.serving import Server
 
 
 class FakeServer:

@@ -12,9 +12,9 @@ import urllib3
 
 from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
+from tests.integration.api_server import Answer, Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Answer, Api
-from tests.integration.uploading import crc64, md5, send, sha256, upload
+from tests.integration.upload_client import crc64, md5, send, sha256, upload
 
 _POOL = urllib3.PoolManager(retries=False, timeout=30)
 GB = 10**9

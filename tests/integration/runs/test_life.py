@@ -2,9 +2,9 @@
 
 import uuid
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, another, launch
-from tests.integration.uploading import fetch, sha256
+from tests.integration.upload_client import fetch, sha256
 
 
 def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -> None:

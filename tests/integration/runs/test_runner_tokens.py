@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, definition, launch
 
 

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 import urllib3
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.middleman import Asked, Reply, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, parts_of, sign, upload
-from tests.stack import RunningStore
+from tests.integration.fault_proxy import Asked, Reply, standing_before
+from tests.integration.upload_client import begin, complete, parts_of, sign, upload
+from tests.services import RunningStore
 
 _BODY = b"what a robot saw"
 _PAGE = "https://kleinkram.lab.example"

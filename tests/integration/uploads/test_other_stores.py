@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 import urllib3
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.fault_proxy import Asked, Reply, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Reply, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, put, send, sign, upload, wait_until
+from tests.integration.upload_client import begin, complete, fetch, put, send, sign, upload, wait_until
 from tests.ports import choose_port
-from tests.stack import RunningStore
+from tests.services import RunningStore
 
 _PART = 5 * 1024 * 1024
 

@@ -14,12 +14,12 @@ from kleinkram.client.transfer import Outcome, TransferResult, download, plan_do
 from kleinkram.client.transfer.download import fetch
 from kleinkram.client.transfer.progress import Unwatched
 from kleinkram.contract.errors import UploadGone
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.middleman import Asked, Lost, Middleman, Reply, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, crc64, send, sha256
-from tests.integration.uploading import upload as upload_whole
-from tests.stack import RunningStore
+from tests.integration.fault_proxy import Asked, Lost, Middleman, Reply, standing_before
+from tests.integration.upload_client import begin, complete, crc64, send, sha256
+from tests.integration.upload_client import upload as upload_whole
+from tests.services import RunningStore
 
 _PART = 5 * 1024 * 1024
 _PASSING: "list[Reply | Lost]" = [

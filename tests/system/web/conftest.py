@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from kleinkram.server.web.serving import BUILT
-from tests.lacking import missing, need, path_of
-from tests.system.house import House
+from tests.requirements import missing, need, path_of
+from tests.system.cluster import House
 
 WEB = Path(__file__).parents[3] / "web"
 OUTPUT = Path(__file__).parents[3] / "output" / "web"

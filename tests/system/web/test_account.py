@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import urllib3
 
-from kleinkram.server.jobs.context import ATTEMPTS
-from tests.system.behind import sql
-from tests.system.house import House
+from kleinkram.server.jobs.job_context import ATTEMPTS
+from tests.system.backend import sql
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _EMAIL, _PASSWORD = "ada@lab.example", "correct horse battery"

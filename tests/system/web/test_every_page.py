@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web import every_page_world as hostile
 from tests.system.web.conftest import WEB, Act
 

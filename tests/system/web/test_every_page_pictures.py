@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mission
 from tests.acceptance.conftest import Terminal, wait_until
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _FIELDS = """

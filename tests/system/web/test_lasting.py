@@ -7,8 +7,8 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import wait_until
+from tests.system.cluster import House
 from tests.system.conftest import OtherMachine
-from tests.system.house import House
 from tests.system.web.conftest import Act
 
 _FIELDS = """

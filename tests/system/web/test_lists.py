@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _FIELDS = """

@@ -14,7 +14,7 @@ from kleinkram.recordings.decoding import image
 from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _NAMES = ("drive.mcap", "drive.bag", "cut.mcap")

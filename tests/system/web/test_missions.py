@@ -7,8 +7,8 @@ import pytest
 
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
-from tests.system.behind import sql
-from tests.system.house import House
+from tests.system.backend import sql
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _FILES = 10_000

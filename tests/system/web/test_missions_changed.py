@@ -9,8 +9,8 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import wait_until
-from tests.system.behind import sql
-from tests.system.house import House
+from tests.system.backend import sql
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _LARGE_BYTES = 20_000_000

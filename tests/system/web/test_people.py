@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import wait_until
-from tests.system.behind import sql
-from tests.system.house import House
+from tests.system.backend import sql
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 # As one that failed just now: one of which nothing is known is swept.

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.acceptance.conftest import Terminal
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _MARKUP = "Wet <img src=x onerror=alert(1)>"

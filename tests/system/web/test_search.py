@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
-from tests.system.house import House
+from tests.system.cluster import House
 from tests.system.web.conftest import Act
 
 _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.system.house import House
+from tests.system.cluster import House
 
 from .conftest import Act
 

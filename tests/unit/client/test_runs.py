@@ -27,7 +27,7 @@ from kleinkram.contract.runs import (
     RunsMade,
     RunState,
 )
-from tests.serving import Server
+from tests.http_server import Server
 from tests.unit.client.nouns import NOW, action_read, run_detail
 from tests.unit.client.scripted import Scripted, scripted
 

@@ -15,7 +15,7 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.events import Change, Refetch, RefetchReason
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import standing
-from kleinkram.server.changes import Notice, gathered
+from kleinkram.server.change_events import ChangeEvent, merge_events
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.events import queries
 from kleinkram.server.events.hub import Heard, Hub, Listener
@@ -101,7 +101,7 @@ def _reason(heard: Heard, *, is_other: bool) -> RefetchReason | None:
     return RefetchReason.behind if heard.was_too_much else None
 
 
-async def _known(db: Connection, actor: Actor, notices: Sequence[Notice]) -> list[Change]:
+async def _known(db: Connection, actor: Actor, notices: Sequence[ChangeEvent]) -> list[Change]:
     missions = {each.mission_id for each in notices if each.mission_id is not None}
     projects = {each.project_id for each in notices if each.project_id is not None}
     of_mission = {}
@@ -117,13 +117,13 @@ async def _known(db: Connection, actor: Actor, notices: Sequence[Notice]) -> lis
             project_id=each.project_id or of_mission.get(each.mission_id),
             mission_id=each.mission_id,
         )
-        for each in gathered(notices, most=_MOST_ALIKE)
+        for each in merge_events(notices, max_alike=_MOST_ALIKE)
         if each.mission_id in of_mission or each.project_id in known or _is_own(actor, each)
     ]
     return list(dict.fromkeys(told))
 
 
-def _is_own(actor: Actor, notice: Notice) -> bool:
+def _is_own(actor: Actor, notice: ChangeEvent) -> bool:
     """Say of something that is in no project, a session or a group, whether somebody did it themselves, or is admin."""
     if notice.project_id is not None or notice.mission_id is not None or actor.limits is not None:
         return False

@@ -55,11 +55,11 @@ async def say_hello(hello: RunnerHello, db: Transaction, actor: CurrentActor) ->
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, asked: ClaimAsk, request: Request, site: CurrentSite, actor: CurrentActor
+    runner_id: uuid.UUID, asked: ClaimAsk, request: Request, context: CurrentSite, actor: CurrentActor
 ) -> Claimed:
     """Ask for a run that fits what is free, and wait for one."""
     mark_as_stream(request.scope)
-    return await service.claim(site, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
+    return await service.claim(context, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
 
 
 @router.post("/runners/{runner_id}/beats", operation_id="beat")
@@ -75,15 +75,17 @@ async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transact
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
-async def sign_inputs(run_id: uuid.UUID, asked: InputsAsk, site: CurrentSite, actor: CurrentActor) -> InputUrls:
+async def sign_inputs(run_id: uuid.UUID, asked: InputsAsk, context: CurrentSite, actor: CurrentActor) -> InputUrls:
     """Get where to read inputs."""
-    return await holding.sign_inputs(site, actor, run_id=run_id, asked=asked)
+    return await holding.sign_inputs(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log/sign", operation_id="sign_log_segment")
-async def sign_log_segment(run_id: uuid.UUID, asked: SegmentAsk, site: CurrentSite, actor: CurrentActor) -> SegmentPut:
+async def sign_log_segment(
+    run_id: uuid.UUID, asked: SegmentAsk, context: CurrentSite, actor: CurrentActor
+) -> SegmentPut:
     """Get where to store a piece of a log."""
-    return await holding.sign_segment(site, actor, run_id=run_id, asked=asked)
+    return await holding.sign_segment(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log/kept", operation_id="keep_log_segment", status_code=204)
@@ -94,13 +96,13 @@ async def keep_log_segment(run_id: uuid.UUID, kept: SegmentKept, db: Transaction
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="begin_artifacts")
 async def begin_uploads_of_run(
-    run_id: uuid.UUID, body: ArtifactsBegin, site: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, body: ArtifactsBegin, context: CurrentSite, actor: CurrentActor
 ) -> UploadDecisions:
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         row = await holding.hold(db, actor, run_id, body.attempt)
-    await finish_cut_off_artifacts(site, actor, run_id=run_id, paths=[each.path for each in body.files])
-    return UploadDecisions(items=await begin_artifacts(site, actor, row=row, wanted=body.files))
+    await finish_cut_off_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, row=row, wanted=body.files))
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")

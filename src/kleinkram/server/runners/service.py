@@ -34,14 +34,14 @@ from kleinkram.server.access.actor import Actor, find_person, unexpired
 from kleinkram.server.access.secrets import new_secret
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import Hub, Topic
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.fitting import is_owners_alone, with_limits
 from kleinkram.server.runs.ending import end_run, take_back_lost
-from kleinkram.server.site import Site
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -81,7 +81,7 @@ async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> Runn
     if known is None:
         event = Event("runner.arrive", "runner", hello.id, hello.name, None, after={"labels": list(hello.labels)})
         await record(db, actor, event)
-    await tell(db, [Notice("runner", ChangeKind.changed, hello.id)])
+    await publish(db, [ChangeEvent("runner", ChangeKind.changed, hello.id)])
     row = (await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one()
     return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
 
@@ -133,7 +133,7 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
     return Page(items=[queries.to_runner(row, projects) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
+async def claim(context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
     """Give a runner the oldest run that fits what it has free; wait for one, where there is none.
 
     Raises:
@@ -144,7 +144,7 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
     until = time.monotonic() + asked.wait_s
     with hub.long_poll(runner_id, _QUEUE) as listener:
         while True:
-            async with site.database.begin() as db:
+            async with context.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
             if found is not None or left_s <= 0 or hub.is_over:
@@ -195,7 +195,7 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
     held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
     await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **held))
-    await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     definition = ActionDefinition.model_validate(row.definition)
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
     return Claim(
@@ -273,7 +273,7 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
         unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
         await db.execute(update(action_version).where(unpinned).values(image_digest=beat.image_digest))
     if values:
-        await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+        await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_gone
     return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.cancel if is_over else Verdict.go_on)
 

@@ -39,9 +39,9 @@ from kleinkram.server.access.visible import level_on_mission, visible_files, vis
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
+from kleinkram.server.filters.files import narrow_files
 from kleinkram.server.runners.fitting import Needs, alive_runners, is_owners_alone, known_runners, why_never
 from kleinkram.server.runs import reading
-from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
 
 # What a run says of its results, and a run that reuses them says too.

@@ -112,10 +112,10 @@ async def list_artifacts(
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsRequest, site: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentSite, actor: CurrentActor
 ) -> ArtifactUrls:
     """Return where to read artifacts; who asked is noted."""
-    items = await reading.link_artifacts(site, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
+    items = await reading.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
     return ArtifactUrls(items=items)
 
 
@@ -124,12 +124,12 @@ async def get_run_log(
     run_id: uuid.UUID,
     query: Annotated[LogQuery, Query()],
     request: Request,
-    site: CurrentSite,
+    context: CurrentSite,
     actor: CurrentActor,
 ) -> LogPiece:
     """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
     hub = request.app.state.hub
-    return await logs.read_log(site, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
+    return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
 
 
 @router.get("/findings", operation_id="list_findings")
