@@ -43,8 +43,8 @@ def test_models_and_migrations_agree(postgres: RunningPostgres, database: str) -
 
 
 def test_what_an_index_of_words_has_not_taken_in_yet_is_soon_read(postgres: RunningPostgres, database: str) -> None:
-    found = postgres.sql(_WORDS, database=database).split()
-    assert found == ["{gin_pending_list_limit=256}"] * 9
+    words = postgres.sql(_WORDS, database=database).split()
+    assert words == ["{gin_pending_list_limit=256}"] * 9
 
 
 def test_the_newest_revision_is_the_one_written_down() -> None:

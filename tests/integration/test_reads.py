@@ -121,9 +121,9 @@ def test_a_read_whose_connection_is_cut_is_made_once_more(small: Watched) -> Non
     with racing(api, "LOCK TABLE mission IN ACCESS EXCLUSIVE MODE") as send:
         change = send(api.post, f"/projects/{project}/missions", {"name": "m"})
         small.cut()
-        told = change.result()
-        told.refused(503, "database_unavailable")
-        assert told.headers["retry-after"]
+        response = change.result()
+        response.refused(503, "database_unavailable")
+        assert response.headers["retry-after"]
     with racing(api, "LOCK TABLE mission IN ACCESS EXCLUSIVE MODE") as send:
         read = send(api.get, listed)
         small.cut()

@@ -101,7 +101,7 @@ def contents(settings: Settings) -> dict[str, str]:
     """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
-        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_segment").fetchall()]
+        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_chunk").fetchall()]
     return asyncio.run(_contents(settings, keys))
 
 

@@ -11,7 +11,7 @@ from kleinkram.server.blobs.proving import read_through
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.fault_proxy import Asked, Cut, Middleman, Reply, Rule, standing_before
+from tests.integration.fault_proxy import Cut, Middleman, ProxiedRequest, Reply, Rule, standing_before
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import upload
 from tests.services import RunningStore
@@ -93,7 +93,7 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
-def _all_fail(asked: Asked) -> Reply | None:
+def _all_fail(asked: ProxiedRequest) -> Reply | None:
     return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
 
 

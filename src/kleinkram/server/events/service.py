@@ -22,7 +22,7 @@ from kleinkram.server.events.hub import Heard, Hub, Listener
 
 # Who somebody is, found anew from what they came with; None once that is not good any more.
 FindAgain = Callable[[Connection], Awaitable[Actor | None]]
-BEAT_S = 15.0
+HEARTBEAT_S = 15.0
 # How late it is noticed that rights ended by themselves; what somebody ended is noticed at once.
 LOOK_S = 5.0
 _GAP_S = 0.5
@@ -62,7 +62,7 @@ async def watch(asked: Watch, actor: Actor) -> AsyncIterator[str]:
             if seen is None:
                 return
             rights = seen.rights
-            if opening or seen.said or time.monotonic() - spoke_at >= BEAT_S:
+            if opening or seen.said or time.monotonic() - spoke_at >= HEARTBEAT_S:
                 yield opening + seen.said or ": still here\n\n"
                 opening = ""
                 spoke_at = time.monotonic()

@@ -13,15 +13,15 @@ from kleinkram.contract.runs import (
     ArtifactUrls,
     FindingRead,
     LineageRead,
-    LogPiece,
+    LogChunkRead,
     MetricRead,
+    ReportFilter,
     RunDetail,
     RunFilter,
     RunInput,
     RunRead,
     RunsCreate,
-    RunsMade,
-    SayingFilter,
+    RunsCreated,
 )
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
 from kleinkram.server.pages import PageRequest
@@ -38,7 +38,7 @@ class RunListQuery(RunFilter):
     count: bool = False
 
 
-class SayingListQuery(SayingFilter):
+class ReportListQuery(ReportFilter):
     """The query of a list of findings or metrics."""
 
     limit: PageSize = 100
@@ -56,7 +56,7 @@ class LogQuery(BaseModel):
 
 
 @router.post("/runs", operation_id="create_runs")
-async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsMade:
+async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
     """Run an action on each of some missions; says for each mission whether there is a run."""
     return await launching.launch(db, actor, wanted=wanted)
 
@@ -126,7 +126,7 @@ async def get_run_log(
     request: Request,
     context: CurrentSite,
     actor: CurrentActor,
-) -> LogPiece:
+) -> LogChunkRead:
     """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
@@ -134,7 +134,7 @@ async def get_run_log(
 
 @router.get("/findings", operation_id="list_findings")
 async def list_findings(
-    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[FindingRead]:
     """List what runs noticed, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -143,7 +143,7 @@ async def list_findings(
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
-    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[MetricRead]:
     """List the numbers that runs found, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)

@@ -9,7 +9,7 @@ down_revision = "0014"
 branch_labels = None
 depends_on = None
 
-_TABLES = "runner, action, action_version, run, run_input, run_artifact, run_finding, run_metric, log_segment"
+_TABLES = "runner, action, action_version, run, run_input, run_artifact, run_finding, run_metric, log_chunk"
 
 
 def upgrade() -> None:
@@ -33,7 +33,7 @@ def _make_runners() -> None:
         sa.Column("labels", sa.ARRAY(sa.Text()), server_default="{}", nullable=False),
         sa.Column("capacity", postgresql.JSONB(), nullable=False),
         sa.Column("abilities", postgresql.JSONB(), nullable=False),
-        sa.Column("stock_image", sa.Text(), nullable=True),
+        sa.Column("default_image", sa.Text(), nullable=True),
         sa.Column("version", sa.Text(), nullable=False),
         sa.Column("created_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("last_seen_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
@@ -228,7 +228,7 @@ def _make_files_of_runs() -> None:
     op.create_index(op.f("ix_run_artifact_blob_id"), "run_artifact", ["blob_id"], unique=False)
     op.create_index(op.f("ix_run_artifact_file_id"), "run_artifact", ["file_id"], unique=False)
     op.create_table(
-        "log_segment",
+        "log_chunk",
         sa.Column("key", sa.Text(), nullable=False),
         sa.Column("store_id", sa.Text(), server_default="main", nullable=False),
         sa.Column("run_id", sa.Uuid(), nullable=True),
@@ -237,10 +237,10 @@ def _make_files_of_runs() -> None:
         sa.Column("size_bytes", sa.BigInteger(), nullable=False),
         sa.Column("kept_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("created_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
-        sa.ForeignKeyConstraint(["run_id"], ["run.id"], name=op.f("fk_log_segment_run_id_run"), ondelete="SET NULL"),
-        sa.PrimaryKeyConstraint("key", name=op.f("pk_log_segment")),
+        sa.ForeignKeyConstraint(["run_id"], ["run.id"], name=op.f("fk_log_chunk_run_id_run"), ondelete="SET NULL"),
+        sa.PrimaryKeyConstraint("key", name=op.f("pk_log_chunk")),
     )
-    op.create_index("ix_log_segment_run_id", "log_segment", ["run_id", "attempt", "offset_bytes"], unique=False)
+    op.create_index("ix_log_chunk_run_id", "log_chunk", ["run_id", "attempt", "offset_bytes"], unique=False)
 
 
 def _make_words_of_runs() -> None:

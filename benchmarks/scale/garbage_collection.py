@@ -1,4 +1,4 @@
-"""Sweeps until nothing is left to sweep, as a process of its own: `python -m benchmarks.scale.sweeping`.
+"""Sweeps until nothing is left to sweep, as a process of its own: `python -m benchmarks.scale.garbage_collection`.
 
 Prints how many rounds it took. The environment is the worker's.
 """

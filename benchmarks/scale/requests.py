@@ -43,7 +43,7 @@ def list_rows(
             times = _ask_in_turn(pool, url, place, tokens)
             ratios[place.name] = statistics.median(times["reader"]) / statistics.median(times["admin"])
             if place.most_ms is None:
-                yield _told(label, place, times["admin"])
+                yield _row_of(label, place, times["admin"])
                 continue
             bare_ms = statistics.mean(_bare(statements[place.path], database_url))
             rps = _served(f"{url}/api/v1/{place.path}", tokens["admin"])
@@ -58,7 +58,7 @@ def list_rows(
     }
 
 
-def _told(label: str, place: Place, times: list[float]) -> Row:
+def _row_of(label: str, place: Place, times: list[float]) -> Row:
     return {
         "what": f"{label}: {place.name}",
         "measured": f"median {statistics.median(times):.0f} ms, p95 {percentile(times, 95):.0f} ms",
@@ -71,7 +71,7 @@ def _told(label: str, place: Place, times: list[float]) -> Row:
 
 def _judged(label: str, place: Place, times: list[float], bare_ms: float, rps: float) -> Row:
     """Return what was measured, beside a loop that sends the same SQL and nothing else, one after the other."""
-    row = _told(label, place, times)
+    row = _row_of(label, place, times)
     share, one = rps * bare_ms / 1000, bare_ms / statistics.mean(times)
     met = place.most_ms is not None and percentile(times, 95) <= place.most_ms and share >= _LEAST_SHARE
     return row | {
@@ -146,7 +146,7 @@ async def _taken_down(token: str, places: list[Place]) -> dict[str, list[Stateme
         if statement.lstrip().startswith(("SELECT", "WITH", "(")):
             sent.append((statement, values))
 
-    found = {}
+    timings = {}
     async with app.router.lifespan_context(app):
         event.listen(app.state.database.engine.sync_engine, "before_cursor_execute", take_down)
         asking = httpx.AsyncClient(
@@ -156,5 +156,5 @@ async def _taken_down(token: str, places: list[Place]) -> dict[str, list[Stateme
             for place in places:
                 sent.clear()
                 (await client.get(f"/api/v1/{place.path}", timeout=120)).raise_for_status()
-                found[place.path] = list(sent)
-    return found
+                timings[place.path] = list(sent)
+    return timings
