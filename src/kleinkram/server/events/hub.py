@@ -136,7 +136,7 @@ class Hub:
         """
         own = Counter(self._streams.values())[person_id]
         if own >= MAX_STREAMS_PER_PERSON or len(self._streams) >= _MAX_STREAMS:
-            raise TooManyStreams(most=MAX_STREAMS_PER_PERSON)
+            raise TooManyStreams(limit=MAX_STREAMS_PER_PERSON)
 
     @contextmanager
     def subscribe(self, person_id: uuid.UUID | None, *, after: str | None) -> Iterator[EventSubscription]:
@@ -159,7 +159,7 @@ class Hub:
         """
         own = Counter(self._long_polls.values())[account_id]
         if own >= MAX_LONG_POLLS_PER_ACCOUNT or len(self._long_polls) >= _MAX_LONG_POLLS:
-            raise TooManyStreams(most=MAX_LONG_POLLS_PER_ACCOUNT)
+            raise TooManyStreams(limit=MAX_LONG_POLLS_PER_ACCOUNT)
         subscription = EventSubscription(event_filter)
         self._long_polls[subscription] = account_id
         try:

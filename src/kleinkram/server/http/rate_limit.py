@@ -90,7 +90,7 @@ async def enforce_limits(database: Database, *counts: Count) -> None:
         count = by_key[counted.key]
         if counted.requests > count.limit:
             retry_after_s = max(1, counted.seconds_left)
-            raise RateLimited(what=count.what, most=count.limit, per_s=WINDOW_S, retry_after_s=retry_after_s)
+            raise RateLimited(what=count.what, limit=count.limit, window_s=WINDOW_S, retry_after_s=retry_after_s)
 
 
 async def reserve_slot(database: Database, count: Count) -> float:
@@ -114,7 +114,7 @@ async def reserve_slot(database: Database, count: Count) -> float:
             if (row := reserved.one_or_none()) is not None:
                 return max(0.0, float(row[0]))
     retry_after_s = int(_MAX_SLOTS_AHEAD * _SLOT.total_seconds())
-    raise RateLimited(what=count.what, most=count.limit, per_s=WINDOW_S, retry_after_s=retry_after_s)
+    raise RateLimited(what=count.what, limit=count.limit, window_s=WINDOW_S, retry_after_s=retry_after_s)
 
 
 async def _increment(database: Database, keys: Sequence[str]) -> Sequence[_Counted]:

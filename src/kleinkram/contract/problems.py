@@ -1,24 +1,15 @@
-"""Failures as problem documents (RFC 9457), there and back."""
+"""Errors as problem documents (RFC 9457) and back."""
 
 from dataclasses import fields
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from kleinkram.contract.errors import files, requests, rights, runs, server, signing_in
-from kleinkram.contract.errors.base import ErrorCode, KleinkramError
-from kleinkram.contract.errors.server import InternalError
-
-ERRORS: dict[ErrorCode, type[KleinkramError]] = {
-    cls.code: cls
-    for module in (signing_in, rights, requests, files, runs, server)
-    for cls in vars(module).values()
-    if isinstance(cls, type) and issubclass(cls, KleinkramError) and hasattr(cls, "code")
-}
+from kleinkram.contract.errors import ERRORS, ErrorCode, InternalError, KleinkramError
 
 
 class ProblemDocument(BaseModel):
-    """A failure on the wire (RFC 9457); the fields of the error's class stand beside these."""
+    """A failure on the wire (RFC 9457), with the fields of the error's class beside these."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -45,16 +36,16 @@ def to_problem(error: KleinkramError, request_id: str | None) -> ProblemDocument
 
 
 def from_problem(problem: ProblemDocument) -> KleinkramError:
-    """Return the error that a problem document stands for.
+    """Return the error that a problem document describes.
 
-    A server newer than this client may leave out or add fields; what is missing makes it an `InternalError`
-    carrying the request id rather than a wrong sentence.
+    A newer server may leave out or add fields. A missing field makes it an `InternalError` with the request id rather
+    than a wrong sentence.
     """
     cls = ERRORS[problem.code]
-    given = {**(problem.model_extra or {}), "request_id": problem.request_id or "unknown"}
-    wanted = {field.name for field in fields(cls)}
+    values = {**(problem.model_extra or {}), "request_id": problem.request_id or "unknown"}
+    names = {field.name for field in fields(cls)}
     try:
-        error: KleinkramError = TypeAdapter(cls).validate_python({k: v for k, v in given.items() if k in wanted})
+        error: KleinkramError = TypeAdapter(cls).validate_python({k: v for k, v in values.items() if k in names})
     except ValidationError:
         return InternalError(request_id=problem.request_id or "unknown")
     return error
