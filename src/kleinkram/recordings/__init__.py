@@ -14,9 +14,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.combining import combine
+    from kleinkram.recordings.combine import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.forward import Forward, from_file, from_pipe, from_source
+    from kleinkram.recordings.formats.base import sniff
+    from kleinkram.recordings.formats.rosbag2.metadata import (
+        MemberFacts,
+        Rosbag2Metadata,
+        TopicFacts,
+        compare_metadata,
+        parse_rosbag2_metadata,
+    )
     from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
         FileRequest,
         StreamRequest,
         UrlRequest,
+        from_dict,
         metadata_request_bytes,
         read_answer,
         read_metadata_answer,
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
         stream_request_bytes,
         summarise_isolated,
         timed_out,
+        to_dict,
     )
     from kleinkram.recordings.model import (
         Content,
@@ -42,11 +51,15 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
-    from kleinkram.recordings.rosbag2.comparing import MemberFacts, TopicFacts, compare_metadata
-    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, parse_rosbag2_metadata
-    from kleinkram.recordings.serialise import from_dict, to_dict
-    from kleinkram.recordings.sniffing import sniff
-    from kleinkram.recordings.sources import CountingSource, FileSource, Source
+    from kleinkram.recordings.sources import (
+        CountingSource,
+        FileSource,
+        Forward,
+        Source,
+        from_file,
+        from_pipe,
+        from_source,
+    )
     from kleinkram.recordings.summary import scan, summarise
 
 __all__ = [

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from kleinkram.recordings.decompress import ReadUpTo, open_decompressed
+from kleinkram.recordings.compression import ReadUpTo, open_decompressed
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.stream import Decompressed, Lookahead, Undecompressed
+from kleinkram.recordings.streams import Decompressed, Lookahead, Undecompressed
 
 _FLUSH_BYTES = 64 * 2**20
 

@@ -10,9 +10,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import CountingSource, FileSource, Lost
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap.index import read_footer
+from kleinkram.recordings.formats.mcap.index import read_footer
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
 from kleinkram.server.settings import Settings

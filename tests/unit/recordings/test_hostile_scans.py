@@ -10,16 +10,15 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content
-from kleinkram.recordings import losses as losses_module
-from kleinkram.recordings.bag import records as bag_records
-from kleinkram.recordings.decompress import decompress
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.listening import Place
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.scan import scan_records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings import damage_report as losses_module
+from kleinkram.recordings.compression import decompress
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.scan import scan_records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1 import records as bag_records
+from kleinkram.recordings.message_counts import Batch, Place
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
-from kleinkram.recordings.tally import Batch
 
 from .memory_source import MemorySource
 from .test_hostile import record, small_mcap
@@ -61,8 +60,8 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
         return decompress(kind, stored, uncompressed_bytes)
 
     monkeypatch.setattr(losses_module, "_FREE_VAIN_BYTES", 2**20)
-    monkeypatch.setattr("kleinkram.recordings.mcap.chunks.decompress", counted)
-    monkeypatch.setattr("kleinkram.recordings.bag.scan.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.mcap.chunks.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.rosbag1.scan.decompress", counted)
     data = FILES[name]
     summary = scan(from_source(MemorySource(data, name)))
     assert summary.content is Content.broken

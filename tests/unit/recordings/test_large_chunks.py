@@ -15,12 +15,12 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Lost, RecordingSummary
-from kleinkram.recordings import losses as losses_module
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings import damage_report as losses_module
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
 from kleinkram.recordings.reading import Recording
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -54,8 +54,8 @@ def both_ways(data: bytes, monkeypatch: pytest.MonkeyPatch, name: str = "a.mcap"
     """Scan with every chunk held as a whole, and with each read in steps: the answers are the same."""
     held = scan(from_source(MemorySource(data, name)))
     with monkeypatch.context() as patched:
-        patched.setattr("kleinkram.recordings.mcap.scan.MAX_AT_ONCE", IN_STEPS)
-        patched.setattr("kleinkram.recordings.bag.scan.MAX_AT_ONCE", IN_STEPS)
+        patched.setattr("kleinkram.recordings.formats.mcap.scan.MAX_AT_ONCE", IN_STEPS)
+        patched.setattr("kleinkram.recordings.formats.rosbag1.scan.MAX_AT_ONCE", IN_STEPS)
         stepped = scan(from_source(MemorySource(data, name)))
     assert replace(stepped, problems=(), reason=None) == replace(held, problems=(), reason=None)
     assert [problem.where for problem in stepped.problems] == [problem.where for problem in held.problems]
@@ -195,7 +195,7 @@ def bag_of_one_chunk(compression: BagCompression, *, payload_bytes: int, count: 
 
 def test_what_is_read_is_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the messages of a large chunk turn out to be none, after those of another were told."""
-    monkeypatch.setattr("kleinkram.recordings.mcap.scan.MAX_AT_ONCE", IN_STEPS)
+    monkeypatch.setattr("kleinkram.recordings.formats.mcap.scan.MAX_AT_ONCE", IN_STEPS)
     path = tmp_path / "a.mcap"
     content = packed(b"zstd", channel_record(0, b"/a") + messages(10))
     lie = packed(b"zstd", channel_record(1, b"/lie") + messages(20, 10, 1), crc=1)
