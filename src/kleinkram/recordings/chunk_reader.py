@@ -28,9 +28,9 @@ from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
 from kleinkram.recordings.formats.rosbag1.scan import scan_bag_records
 from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNKS, MAX_READ, WINDOW
-from kleinkram.recordings.merge import OVERHEAD_BYTES, Block, Job, Piece, Run, do_ahead, merge
+from kleinkram.recordings.merge import OVERHEAD_BYTES, Job, Piece, Run, do_ahead, merge
 from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, ROW, Batch, Place
-from kleinkram.recordings.messages import Channel, Selection
+from kleinkram.recordings.messages import Block, Channel, Selection
 from kleinkram.recordings.sources import FileSource, Source, SourceForward
 from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
 from kleinkram.recordings.temporary_files import TooLarge, temporary_copy

@@ -3,17 +3,50 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import le
 from typing import Generic, NamedTuple, TypeVar
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.index_check import ANY_CHANNEL, ChannelSets
 from kleinkram.recordings.limits import MAX_CHUNKS
 from kleinkram.recordings.message_counts import Stretches
 from kleinkram.recordings.messages import Selection
+
+MAX_SET_BYTES = 16 * 2**20
+
+ANY_CHANNEL = 0
+"""The set of a chunk of which is not known who is in it."""
+
+UNKNOWN = 2**64 - 1
+"""Stands for a number that the index of this format does not say."""
+
+
+class ChannelSets:
+    """Sets of channels, each kept once however many chunks share it."""
+
+    def __init__(self) -> None:
+        self.members: list[frozenset[int]] = [frozenset()]
+        self._numbers: dict[frozenset[int], int] = {}
+        self._bytes = 0
+
+    def number(self, channel_ids: Iterable[int]) -> int:
+        """Return the number of a set of channels; `ANY_CHANNEL` once the sets take too much memory."""
+        members = frozenset(channel_ids)
+        number = self._numbers.get(members)
+        if number is None:
+            self._bytes += 200 + 64 * len(members)
+            if self._bytes > MAX_SET_BYTES:
+                return ANY_CHANNEL
+            number = self._numbers[members] = len(self.members)
+            self.members.append(members)
+        return number
+
+    def listed(self, number: int) -> frozenset[int] | None:
+        """Return the channels of a set; None where they are not known."""
+        return None if number == ANY_CHANNEL else self.members[number]
+
 
 RowT = TypeVar("RowT", bound=tuple[int, ...])
 

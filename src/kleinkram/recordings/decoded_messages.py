@@ -7,8 +7,7 @@ from collections.abc import Iterable, Iterator
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for
 from kleinkram.recordings.member import Contents
-from kleinkram.recordings.merge import Block
-from kleinkram.recordings.messages import Channel, Message, Schema, Topic
+from kleinkram.recordings.messages import Block, Channel, Message, Schema, Topic
 
 
 def decode_blocks(blocks: Iterable[Block], noticed: Noticed) -> Iterator[Message]:

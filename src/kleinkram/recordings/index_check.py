@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ChunkTable, PackedTable, Row
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, ChunkTable, PackedTable, Row
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.merge import Job, do_ahead
 from kleinkram.recordings.message_counts import CHUNK, ROW, Batch
@@ -20,39 +20,7 @@ from kleinkram.recordings.model import Problem, counted
 from kleinkram.recordings.sources import FileSource, Source
 from kleinkram.recordings.topic_statistics import gathered
 
-MAX_SET_BYTES = 16 * 2**20
-ANY_CHANNEL = 0
-"""The set of a chunk of which is not known who is in it."""
-
-UNKNOWN = 2**64 - 1
-"""Stands for a number that the index of this format does not say."""
-
 _MAX_FAULTS = 10_000
-
-
-class ChannelSets:
-    """Sets of channels, each kept once however many chunks share it."""
-
-    def __init__(self) -> None:
-        self.members: list[frozenset[int]] = [frozenset()]
-        self._numbers: dict[frozenset[int], int] = {}
-        self._bytes = 0
-
-    def number(self, channel_ids: Iterable[int]) -> int:
-        """Return the number of a set of channels; `ANY_CHANNEL` once the sets take too much memory."""
-        members = frozenset(channel_ids)
-        number = self._numbers.get(members)
-        if number is None:
-            self._bytes += 200 + 64 * len(members)
-            if self._bytes > MAX_SET_BYTES:
-                return ANY_CHANNEL
-            number = self._numbers[members] = len(self.members)
-            self.members.append(members)
-        return number
-
-    def listed(self, number: int) -> frozenset[int] | None:
-        """Return the channels of a set; None where they are not known."""
-        return None if number == ANY_CHANNEL else self.members[number]
 
 
 class ChunkClaim(NamedTuple):

@@ -19,7 +19,7 @@ from operator import attrgetter
 from typing import Generic, NamedTuple, TypeVar
 
 from kleinkram.recordings.errors import RecordingError
-from kleinkram.recordings.messages import END_OF_TIME_NS, RawMessage
+from kleinkram.recordings.messages import END_OF_TIME_NS, Block
 from kleinkram.recordings.streams import keep_freed_memory
 
 MAX_HELD = 48 * 2**20
@@ -28,7 +28,6 @@ MAX_HELD = 48 * 2**20
 OVERHEAD_BYTES = 250
 """What a message costs beside its data."""
 
-Block = list[RawMessage]
 _log_time = attrgetter("log_time_ns")
 
 

@@ -64,6 +64,9 @@ class RawMessage(NamedTuple):
         return self.channel.schema
 
 
+Block = list[RawMessage]
+
+
 class Message(NamedTuple):
     """One message as values. Times as in `RawMessage`.
 

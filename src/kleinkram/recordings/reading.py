@@ -22,9 +22,10 @@ from kleinkram.recordings.decoded_messages import Notice, decode_blocks, list_to
 from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, decoder_for, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
 from kleinkram.recordings.member import Member
-from kleinkram.recordings.merge import Block, TooDisordered, merge
+from kleinkram.recordings.merge import TooDisordered, merge
 from kleinkram.recordings.messages import (
     END_OF_TIME_NS,
+    Block,
     Channel,
     Message,
     RawMessage,

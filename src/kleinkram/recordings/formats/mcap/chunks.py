@@ -18,9 +18,8 @@ from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, Mcap
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
 from kleinkram.recordings.index_check import FoundMessages
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
-from kleinkram.recordings.merge import Block
 from kleinkram.recordings.message_counts import RECORDS, Batch, Place
-from kleinkram.recordings.messages import Channel, RawMessage, Selection
+from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, Lookahead, open_range
 

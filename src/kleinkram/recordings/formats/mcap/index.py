@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 
-from kleinkram.recordings.chunk_table import smallest_to_come
+from kleinkram.recordings.chunk_table import UNKNOWN, smallest_to_come
 from kleinkram.recordings.compression import is_known_compression, unknown_compression
 from kleinkram.recordings.damage_report import Losses
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import ChunkPlace, McapFacts
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
-from kleinkram.recordings.index_check import UNKNOWN, ChunkClaim, FoundMessages, wrong_compression
+from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, wrong_compression
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, TAIL, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges

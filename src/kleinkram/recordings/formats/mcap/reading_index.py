@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 
 from kleinkram.recordings.chunk_reader import Gathering
-from kleinkram.recordings.chunk_table import ChunkTable, Row
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkTable, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed, NotIndexed
@@ -21,7 +21,6 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.format import scan_mcap
 from kleinkram.recordings.formats.mcap.index import read_compression
 from kleinkram.recordings.formats.mcap.records import BodyReader
-from kleinkram.recordings.index_check import ANY_CHANNEL
 from kleinkram.recordings.limits import MAX_TOPICS, TAIL
 from kleinkram.recordings.message_counts import CHUNK
 from kleinkram.recordings.messages import Channel, Schema

@@ -11,10 +11,10 @@ from array import array
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.chunk_table import PackedTable
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChannelSets, PackedTable
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.index_check import ANY_CHANNEL, ChannelSets, IndexFaults
+from kleinkram.recordings.index_check import IndexFaults
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.message_counts import Held, Listener
 from kleinkram.recordings.model import Fact

@@ -11,6 +11,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
 from kleinkram.recordings.compression import ReadUpTo, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
 from kleinkram.recordings.errors import Malformed
@@ -27,8 +28,6 @@ from kleinkram.recordings.formats.mcap.resync import (
     stands_outside_chunks,
 )
 from kleinkram.recordings.index_check import (
-    ANY_CHANNEL,
-    UNKNOWN,
     ChunkClaim,
     FoundMessages,
     compare_with_scan,

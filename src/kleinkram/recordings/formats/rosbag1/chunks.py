@@ -22,9 +22,8 @@ from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields
 from kleinkram.recordings.index_check import FoundMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.merge import Block
 from kleinkram.recordings.message_counts import Batch, Held, Listener, Stretches
-from kleinkram.recordings.messages import Channel, RawMessage, Schema, Selection
+from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, open_range
 

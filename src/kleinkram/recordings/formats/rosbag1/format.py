@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
-from kleinkram.recordings.chunk_table import PackedTable, smallest_to_come
+from kleinkram.recordings.chunk_table import UNKNOWN, ChannelSets, PackedTable, smallest_to_come
 from kleinkram.recordings.compression import is_known_compression, unknown_compression
 from kleinkram.recordings.damage_report import Losses
 from kleinkram.recordings.errors import Malformed
@@ -19,7 +19,7 @@ from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.chunks import BagListener
 from kleinkram.recordings.formats.rosbag1.records import ChunkInfo, Connection
 from kleinkram.recordings.formats.rosbag1.scan import BagScan, scan_bag_records
-from kleinkram.recordings.index_check import UNKNOWN, ChannelSets, ChunkClaim, FoundMessages, IndexFaults
+from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAMES, MAX_TAKE, MAX_TOPICS, WINDOW
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import Forward, Source, from_source, read_short_ranges

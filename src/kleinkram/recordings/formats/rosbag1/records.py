@@ -11,8 +11,8 @@ from array import array
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from kleinkram.recordings.chunk_table import ChannelSets
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.index_check import ChannelSets
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
 from kleinkram.recordings.streams import ForwardStream
 

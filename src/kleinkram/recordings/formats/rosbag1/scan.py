@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.chunk_table import PackedTable
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, PackedTable
 from kleinkram.recordings.compression import ReadUpTo, decompress, decompress_beginning, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
 from kleinkram.recordings.errors import Malformed
@@ -25,16 +25,7 @@ from kleinkram.recordings.formats.rosbag1.chunks import (
 )
 from kleinkram.recordings.formats.rosbag1.large_chunks import read_large_beginning, read_large_chunk
 from kleinkram.recordings.formats.rosbag1.records import Fields
-from kleinkram.recordings.index_check import (
-    ANY_CHANNEL,
-    UNKNOWN,
-    ChannelSets,
-    ChunkClaim,
-    FoundMessages,
-    IndexFaults,
-    compare_with_scan,
-    new_table,
-)
+from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults, compare_with_scan, new_table
 from kleinkram.recordings.large_chunk import pieces_of
 from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, Batch, Place, Tally

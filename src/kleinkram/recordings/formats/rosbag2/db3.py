@@ -37,8 +37,8 @@ from kleinkram.recordings.formats.rosbag2.database import (
 )
 from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery
 from kleinkram.recordings.member import Contents, Member
-from kleinkram.recordings.merge import Block, Piece, Run, merge
-from kleinkram.recordings.messages import Channel, RawMessage, Schema, Selection
+from kleinkram.recordings.merge import Piece, Run, merge
+from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import Forward
 from kleinkram.recordings.temporary_files import TooLarge, database_file
