@@ -6,8 +6,7 @@ process give it (`summarise_isolated`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 
-Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2.metadata`, `http_source` (needs urllib3) and
-`sample`, which makes sample missions.
+Submodules: `reading` (messages), `inspect`, `isolation`, `http_source`, and `sample`, which makes sample missions.
 """
 
 from importlib import import_module
@@ -112,9 +111,9 @@ __all__ = [
 ]
 
 _HOMES = {
-    "combining": ("combine",),
+    "combine": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "forward": ("Forward", "from_file", "from_pipe", "from_source"),
+    "sources": ("CountingSource", "FileSource", "Forward", "Source", "from_file", "from_pipe", "from_source"),
     "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
@@ -122,6 +121,8 @@ _HOMES = {
         "FileRequest",
         "StreamRequest",
         "UrlRequest",
+        "from_dict",
+        "to_dict",
         "metadata_request_bytes",
         "read_answer",
         "read_metadata_answer",
@@ -131,11 +132,14 @@ _HOMES = {
         "timed_out",
     ),
     "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "rosbag2.comparing": ("MemberFacts", "TopicFacts", "compare_metadata"),
-    "rosbag2.metadata": ("Rosbag2Metadata", "parse_rosbag2_metadata"),
-    "serialise": ("from_dict", "to_dict"),
-    "sniffing": ("sniff",),
-    "sources": ("CountingSource", "FileSource", "Source"),
+    "formats.rosbag2.metadata": (
+        "MemberFacts",
+        "Rosbag2Metadata",
+        "TopicFacts",
+        "compare_metadata",
+        "parse_rosbag2_metadata",
+    ),
+    "formats.base": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

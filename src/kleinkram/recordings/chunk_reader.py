@@ -2,7 +2,7 @@
 
 Only chunks that may hold what is wanted are read. The next ones are fetched, decompressed and checked meanwhile, as
 far ahead as `do_ahead` allows. A chunk that fails its checksum or cannot be decompressed is named in the problems, and
-what a scan finds in it is read. One larger than `MAX_CHUNK_HELD` goes through a temporary file.
+what a scan finds in it is read. One larger than `MAX_CHUNK_BYTES` is left out.
 """
 
 from __future__ import annotations
@@ -18,28 +18,24 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import ChunkTable, PackedTable, Row, StoredChunk
-from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, limited, open_decompressed
+from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import Noticed
-from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap.records import MAGIC as MCAP_MAGIC
 from kleinkram.recordings.formats.mcap.records import Channel as McapChannel
 from kleinkram.recordings.formats.mcap.scan import scan_records
 from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
 from kleinkram.recordings.formats.rosbag1.scan import scan_bag_records
 from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNKS, MAX_READ, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_READ, WINDOW
 from kleinkram.recordings.merge import OVERHEAD_BYTES, Job, Piece, Run, do_ahead, merge
 from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, ROW, Batch, Place
 from kleinkram.recordings.messages import Block, Channel, Selection
-from kleinkram.recordings.sources import FileSource, Source, SourceForward
+from kleinkram.recordings.sources import Source, SourceForward
 from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
-from kleinkram.recordings.temporary_files import TooLarge, temporary_copy
 
 MAX_MESSAGE = 64 * 2**20
 """Bytes of one message; a larger one is left out."""
-
-MAX_CHUNK_HELD = MAX_AT_ONCE
-"""Bytes of a chunk, decompressed, that are held in memory; a larger one is spooled to a temporary file."""
 
 MAX_AHEAD = 32 * 2**20
 """Bytes of chunks that are fetched and decompressed ahead."""
@@ -61,14 +57,12 @@ class ChunkFormat:
     Attributes:
         open_chunk: reads a chunk's record up to its stored bytes.
         parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
-        table_of_records: where messages stand in the content of a chunk that is too large to hold.
         salvage: where messages stand in parts of a file, such as a chunk that is damaged.
         read_message_index: what the message index behind a chunk lists.
     """
 
     open_chunk: Callable[[ForwardStream], StoredChunk]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
-    table_of_records: Callable[[ForwardStream], ChunkTable]
     salvage: Salvage
     read_message_index: ReadMessageIndex
 
@@ -78,7 +72,7 @@ class ChunkedFile:
     """A file, where its chunks are, and who writes in them.
 
     Attributes:
-        is_part: it is part of a damaged or large chunk, of which no more can be saved.
+        is_part: it is part of a damaged chunk, of which no more can be saved.
         check: whether the table may be believed; None: it was not made of the file's own index.
     """
 
@@ -91,8 +85,8 @@ class ChunkedFile:
     check: IndexCheck | None = None
 
 
-Loaded = Buffer | Malformed | None
-"""The content of a chunk; why there is none; None: it is too large to be held."""
+Loaded = Buffer | Malformed
+"""The content of a chunk, or why there is none."""
 
 
 def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
@@ -140,10 +134,8 @@ class _Reader:
             def read_again(row: Row = row) -> Block:
                 return self.read_again(row)
 
-            is_small = row.kind == CHUNK and row.uncompressed_bytes <= MAX_CHUNK_HELD
-            yield Piece(
-                max(row.first_ns, selection.start_ns), (*order, number), open_next, read_again if is_small else None
-            )
+            first_ns = max(row.first_ns, selection.start_ns)
+            yield Piece(first_ns, (*order, number), open_next, read_again if row.kind == CHUNK else None)
 
     def _with_missed(self, row: Row, run: Run) -> Run:
         """Return the messages of a chunk; where the index was seen to be wrong meanwhile, here or by another reader of
@@ -183,7 +175,7 @@ class _Reader:
                 alone = False
                 group, size = [], 0
             group.append(row)
-            size += min(row.length + row.uncompressed_bytes, MAX_CHUNK_HELD)
+            size += min(row.length + row.uncompressed_bytes, 2 * MAX_CHUNK_BYTES)
             previous = number
         if group:
             yield self._job(group, size)
@@ -205,8 +197,8 @@ class _Reader:
                 return Malformed(
                     f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
                 )
-        elif max(row.length, row.uncompressed_bytes) > MAX_CHUNK_HELD:
-            return None
+        elif row.length > MAX_CHUNK_BYTES and row.kind == CHUNK:
+            return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
         return self._take(row, _read(self._file.source, row.start, row.length))
 
     def _take(self, row: Row, data: Buffer) -> Loaded:
@@ -217,12 +209,15 @@ class _Reader:
         try:
             stream = open_bytes(bytes(data[:_HEAD_BYTES]), row.start)
             head = self._file.format.open_chunk(stream)
-            if head.uncompressed_bytes > MAX_CHUNK_HELD:
-                return None
+            if row.kind == CHUNK and (
+                why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes)
+            ):
+                return why
             start = stream.position - row.start
             stored = memoryview(data)[start : start + head.stored_bytes]
             if row.kind == CUT:
-                return decompress_beginning(head.compression, bytes(stored), head.uncompressed_bytes)
+                most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
+                return decompress_beginning(head.compression, bytes(stored), most_bytes)
             content = decompress(head.compression, stored, head.uncompressed_bytes)
             if head.crc and zlib.crc32(content) != head.crc:
                 return Malformed(f"byte {row.start}", "its checksum is wrong")
@@ -231,8 +226,6 @@ class _Reader:
         return content
 
     def open(self, row: Row, loaded: Loaded) -> Run:
-        if loaded is None:
-            return Run([], 0, self._large(row))
         if isinstance(loaded, Malformed):
             return self._salvaged(row, loaded)
         try:
@@ -243,7 +236,7 @@ class _Reader:
 
     def read_again(self, row: Row) -> Block:
         loaded = self._load(row)
-        if loaded is None or isinstance(loaded, Malformed):
+        if isinstance(loaded, Malformed):
             return []
         try:
             return self._parse(row, loaded)
@@ -295,51 +288,6 @@ class _Reader:
         messages.sort(key=_log_time)
         self._compare_start(row, messages)
         return messages
-
-    def _large(self, row: Row) -> Iterator[Block]:
-        """Read a chunk by way of a temporary file."""
-        file = self._file
-        faults: list[Malformed] = []
-        try:
-            with temporary_copy(self._content_of(row, faults)) as path, FileSource(path) as content:
-                if faults:
-                    self._note_part(row, faults[0])
-                table = file.format.table_of_records(open_range(content, 0, content.size_bytes))
-                inside = ChunkedFile(content, file.format, table, file.channels, file.noticed, is_part=True)
-                yield from self._compared(row, merge(pieces_of(inside, self._selection, ())))
-        except TooLarge as error:
-            raise SourceError(f"{file.source.name}: the chunk at byte {row.start}: {error}") from error
-
-    def _content_of(self, row: Row, faults: list[Malformed]) -> Callable[[int], bytes]:
-        """Return a function that reads on in the content of a chunk; damage ends it, and is added to `faults`."""
-        content: ForwardStream | None = None
-        crc = claimed = 0
-
-        def start() -> ForwardStream:
-            nonlocal crc, claimed
-            stream = open_range(self._file.source, row.start, row.start + row.length)
-            head = self._file.format.open_chunk(stream)
-            crc, claimed = head.crc, head.uncompressed_bytes
-            opened = open_decompressed(head.compression, limited(stream, head.stored_bytes), head.uncompressed_bytes)
-            opened.start_crc()
-            return opened
-
-        def read(most: int) -> bytes:
-            nonlocal content
-            try:
-                content = content or start()
-                piece = content.take_some(min(most, WINDOW))
-            except Malformed as error:
-                faults.append(error)
-                return b""
-            if not piece and crc and content.crc != crc:
-                faults.append(Malformed(f"byte {row.start}", "its checksum is wrong"))
-            if not piece and content.position < claimed and row.kind != CUT:
-                came_out = f"{claimed} bytes are claimed, {content.position} came out"
-                faults.append(Malformed(f"byte {row.start}", came_out))
-            return piece
-
-        return read
 
     def _compare_start(self, row: Row, messages: Block) -> None:
         """Note a chunk that holds other messages than the index says: it may have been opened too late for them."""
@@ -436,11 +384,6 @@ class Gathering:
         for number, count in self._counts_here.items():
             self.counts[number] = self.counts.get(number, 0) + count
         self._begin()
-
-    def forget(self, place: Place) -> None:
-        """Take back the messages at a place, if they were the last that were told of."""
-        if self._place is not None and self._place.start == place.start:
-            self._begin()
 
     def _begin(self) -> None:
         self._place, self._messages = None, 0

@@ -12,7 +12,7 @@ import lz4.frame
 import zstandard
 
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.streams import ForwardStream, Refill
 
 _LEAST_ZEROS = 64
@@ -28,6 +28,16 @@ def is_known_compression(name: str) -> bool:
 def unknown_compression(name: str) -> Malformed:
     """Return why a chunk that is compressed in another way is not read."""
     return Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+
+
+def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed | None:
+    """Return why a chunk cannot be read, whatever its bytes are; None: it can."""
+    if not is_known_compression(name):
+        return unknown_compression(name)
+    size = max(stored, uncompressed)
+    if size > MAX_CHUNK_BYTES:
+        return Malformed("chunk", f"it has {size} bytes; chunks above {MAX_CHUNK_BYTES} are not read", certain=False)
+    return None
 
 
 def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ForwardStream:
@@ -282,19 +292,6 @@ class ZstdFrames:
 
 
 _of_thread = threading.local()
-
-
-def limited(stream: ForwardStream, length: int) -> ReadUpTo:
-    """Return a function that reads up to n of the next `length` bytes of a stream; empty behind them."""
-    left = length
-
-    def read(most: int) -> bytes:
-        nonlocal left
-        piece = stream.take_some(min(most, left)) if left else b""
-        left -= len(piece)
-        return piece
-
-    return read
 
 
 def unpack_message(stored: bytes, most_bytes: int) -> bytes:

@@ -90,14 +90,12 @@ class ChunkedMember:
 MCAP = ChunkFormat(
     mcap_chunks.open_chunk,
     mcap_chunks.parse_messages,
-    mcap_chunks.table_of_records,
     salvage_mcap,
     mcap_chunks.read_message_index,
 )
 _BAG = ChunkFormat(
     bag_chunks.open_chunk,
     bag_chunks.parse_messages,
-    bag_chunks.table_of_records,
     salvage_bag,
     bag_chunks.read_message_index,
 )

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from operator import sub
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TOPICS
+from kleinkram.recordings.limits import MAX_TOPICS
 from kleinkram.recordings.timeline import Timeline
 
 ROW = 3
@@ -88,20 +87,6 @@ class Tally:
         self._topics: dict[int, str] = {}
         self.lateness: dict[str, Lateness] = {}
 
-    def fork(self) -> Tally:
-        """Return a copy: what is added to one is not in the other."""
-        fork = Tally(with_publish_times=self._with_publish_times)
-        fork.timeline = self.timeline.fork()
-        fork.messages = self.messages
-        fork._topics = dict(self._topics)
-        fork.lateness = {topic: replace(late, sample=late.sample[:]) for topic, late in self.lateness.items()}
-        return fork
-
-    def adopt(self, fork: Tally) -> None:
-        """Become what a copy of this one has become."""
-        self.timeline, self.messages = fork.timeline, fork.messages
-        self._topics, self.lateness = fork._topics, fork.lateness
-
     def learn(self, channels: Mapping[int, HasTopic]) -> None:
         """State the topics of all channels that are known by now. `channels` may only grow: what it had is not looked
         at again, so that this costs nothing behind each of many chunks.
@@ -156,10 +141,8 @@ def _waiting(number: int) -> str:
 
 
 CHUNK, RECORDS, CUT = range(3)
-"""What a place is: a chunk; records that stand in no chunk; a chunk to be read as far as it goes, whose checksum is
-missing or is known only behind its messages."""
+"""What a place is: a chunk; records outside of chunks; a cut chunk, which is read as far as it goes."""
 
-Head = TypeVar("Head", contravariant=True)
 Stretches = tuple[tuple[int, int], ...]
 
 
@@ -184,49 +167,3 @@ class Listener(Protocol):
 
     def hear(self, place: Place, batch: Batch) -> None:
         """Take note of messages at a place, which may come in several calls."""
-
-    def forget(self, place: Place) -> None:
-        """Take back the messages at a place, if they were the last that were told of: nothing there can be believed."""
-
-
-class Definer(Listener, Protocol[Head]):
-    """Is told of definitions, too; `Head`: what stands before the data of one."""
-
-    def define(self, head: Head, data: bytes, where: str, /) -> None:
-        """Take note of a definition."""
-
-
-class Held(Generic[Head]):
-    """Tells a listener of messages at once, and keeps definitions back until the chunk that they stand in is proven.
-
-    Keeps at most `MAX_AT_ONCE` bytes of them.
-    """
-
-    def __init__(self, listener: Definer[Head]) -> None:
-        self._listener = listener
-        self._definitions: list[tuple[Head, bytes, str]] = []
-        self._bytes = 0
-
-    def hear(self, place: Place, batch: Batch) -> None:
-        """Pass it on."""
-        self._listener.hear(place, batch)
-
-    def forget(self, place: Place) -> None:
-        """Pass it on."""
-        self._listener.forget(place)
-
-    def define(self, head: Head, data: bytes, where: str, /) -> None:
-        """Keep it back.
-
-        Raises:
-            Malformed: there are too many.
-        """
-        self._bytes += len(data)
-        if self._bytes > MAX_AT_ONCE:
-            raise Malformed(where, f"more than {MAX_AT_ONCE} bytes of definitions in a chunk", certain=False)
-        self._definitions.append((head, data, where))
-
-    def release(self) -> None:
-        """Tell of what was kept back."""
-        for definition in self._definitions:
-            self._listener.define(*definition)

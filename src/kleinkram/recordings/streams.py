@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 
 from kleinkram.recordings.errors import Malformed, SourceError
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_TAKE, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
 from kleinkram.recordings.sources import Forward, Source
 
 _STEP = 256 * 2**10
@@ -22,10 +21,6 @@ Refill = Callable[[], bytes]
 
 class Cut(Malformed):
     """The bytes end before the thing that is being read does."""
-
-
-class Undecompressed(Malformed):
-    """What a chunk holds does not come out of it: its data are damaged, or not all there."""
 
 
 class ForwardStream:
@@ -196,17 +191,12 @@ class Lookahead:
         """Bytes from here to the end of the file."""
         return self.size_bytes - self._window_start - self.at
 
-    @property
-    def seen(self) -> int:
-        """Bytes that were brought into the window so far."""
-        return self._window_start + len(self.window)
-
     def ahead(self, length: int) -> int:
         """Bring the next `length` bytes into the window, or what is left; return how many those are.
 
-        Never more than `MAX_AT_ONCE` and some. What was taken of the window before is overwritten: take it anew.
+        Never more than `MAX_CHUNK_BYTES` and some. What was taken of the window before is overwritten: take it anew.
         """
-        length = min(length, MAX_AT_ONCE + WINDOW, self.left)
+        length = min(length, MAX_CHUNK_BYTES + WINDOW, self.left)
         if len(self.window) - self.at < length:
             self._refill(length)
         return length
@@ -265,46 +255,6 @@ class Lookahead:
             self._window_start += self.at
             self.window = self._buffer[:have]
             self.at = self._hashed = 0
-
-
-class Decompressed:
-    """The contents of a chunk, forward, as long as it claims to be: a `Forward` for a `Lookahead`."""
-
-    name = "chunk"
-    path: Path | None = None
-
-    def __init__(self, stream: ForwardStream, size_bytes: int) -> None:
-        self.size_bytes = size_bytes
-        self._stream = stream
-        self._damage: Undecompressed | None = None
-
-    def read(self, length: int) -> bytes:
-        """Return the next bytes.
-
-        Raises:
-            Undecompressed: they are damaged, or end before `size_bytes`.
-        """
-        piece = self._take(length)
-        if not piece:
-            raise Undecompressed("chunk", f"{self.size_bytes} bytes are claimed, {self._stream.position} came out")
-        return piece
-
-    def finish(self) -> None:
-        """State that all was read, so that what ends the data is checked, too.
-
-        Raises:
-            Undecompressed: that is damaged, or more follows.
-        """
-        if self._take(1):
-            raise Undecompressed("chunk", f"more than the {self.size_bytes} bytes that it claims to hold")
-
-    def _take(self, length: int) -> bytes:
-        if self._damage is None:
-            try:
-                return self._stream.take_some(length)
-            except Malformed as error:
-                self._damage = Undecompressed(error.where, error.message, certain=error.certain)
-        raise self._damage  # again and again: what a decompressor says behind damage means nothing
 
 
 _LARGE = 24 * 2**20

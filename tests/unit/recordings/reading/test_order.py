@@ -111,16 +111,6 @@ def test_messages_without_chunks_and_without_index() -> None:
     assert recording.message_count == 300
 
 
-@pytest.mark.parametrize("compression", list(Compression))
-def test_a_chunk_too_large_to_be_held(compression: Compression, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kleinkram.recordings.chunk_reader.MAX_CHUNK_HELD", 100_000)
-    chunks = shuffled(6, chunks=3, messages=40, spread_ns=100)
-    chunks = [[(topic, stamp, data * 2000) for topic, stamp, data in chunk] for chunk in chunks]
-    recording = Recording.open(mcap_of(chunks, compression=compression))
-    assert plain(recording) == in_order(chunks)
-    assert not recording.problems
-
-
 def test_channels_written_in_every_chunk() -> None:
     out = BytesIO()
     writer = McapWriter(out, chunk_bytes=1)

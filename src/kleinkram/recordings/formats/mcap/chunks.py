@@ -17,7 +17,7 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, McapFacts
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
 from kleinkram.recordings.index_check import FoundMessages
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
 from kleinkram.recordings.message_counts import RECORDS, Batch, Place
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.sources import Source
@@ -101,16 +101,8 @@ def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
     if records.PLACEHOLDER not in (length, uncompressed, stored):
         return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns)
     if uncompressed == records.PLACEHOLDER:
-        uncompressed, crc = records.UNFINISHED_CHUNK_BYTES, 0
+        uncompressed, crc = MAX_CHUNK_BYTES, 0
     return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns, is_unfinished=True)
-
-
-def with_known_size(head: ChunkHead, stored: bytes) -> ChunkHead:
-    """Return the head of an unfinished chunk with the size of what its stored bytes hold, where that can be held."""
-    if head.uncompressed != records.UNFINISHED_CHUNK_BYTES or not head.is_unfinished:
-        return head
-    size = len(decompress_beginning(head.compression, stored, MAX_AT_ONCE))
-    return head._replace(uncompressed=size) if size < MAX_AT_ONCE - WINDOW else head
 
 
 def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
@@ -125,13 +117,10 @@ def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) 
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> tuple[int, int]:
-    """Add the messages of a chunk whose end is missing; return how many of the `stored` bytes they stand in, and how
-    many of the content.
-    """
-    raw = decompress_beginning(head.compression, stored, head.uncompressed)
-    walked = walk_contents(raw, facts, batch).walked
-    return (len(stored) * walked // len(raw) if raw else 0), walked
+def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+    """Add the messages of a chunk whose end is missing."""
+    raw = decompress_beginning(head.compression, stored, min(head.uncompressed, MAX_CHUNK_BYTES))
+    return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
 def tell(facts: McapFacts, place: Place, batch: Batch) -> None:
@@ -168,15 +157,6 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
             except Malformed as fault:
                 return Contents(at, fault)
         at = body + length
-
-
-def read_definition(inner: Lookahead, facts: McapFacts, opcode: int, length: int) -> None:
-    """Note the next record of a chunk's content if it is a definition."""
-    if opcode in _DEFINITIONS:
-        most = _most_of_definition(facts, length)
-        inner.ahead(RECORD_HEAD.size + most)
-        body = inner.at + RECORD_HEAD.size
-        _define(facts, opcode, bytes(inner.window[body : body + most]), f"byte {inner.position}")
 
 
 def _most_of_definition(facts: McapFacts, length: int) -> int:
@@ -245,7 +225,7 @@ def read_chunk_fields(stream: ForwardStream, length: int) -> StoredChunk:
     (stored,) = _U64.unpack(stream.take(_U64.size))
     if records.PLACEHOLDER in (length, uncompressed, stored):
         if uncompressed == records.PLACEHOLDER:
-            uncompressed, crc = records.UNFINISHED_CHUNK_BYTES, 0
+            uncompressed, crc = MAX_CHUNK_BYTES, 0
         return StoredChunk(name, uncompressed, crc, stored)
     if stored != end - stream.position:
         raise Malformed(where, f"{stored} bytes are claimed, {end - stream.position} are there")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from kleinkram.recordings.chunk_table import UNKNOWN, smallest_to_come
-from kleinkram.recordings.compression import is_known_compression, unknown_compression
+from kleinkram.recordings.compression import is_known_compression, unreadable_chunk
 from kleinkram.recordings.damage_report import Losses
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
@@ -157,12 +157,11 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
             compression = read_compression(source, place.start, place.end) or named
             if is_known_compression(compression):
                 facts.index_faults.note(place.start, wrong_compression(named))
-        if is_known_compression(compression):
-            sizes = place.uncompressed_bytes, place.compressed_bytes
-            timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])
+        stored, uncompressed = place.index_start - place.start, place.uncompressed_bytes
+        if why := unreadable_chunk(compression, stored=stored, uncompressed=uncompressed):
+            losses.leave_chunk(place.start, stored, sum(len(entry.stamps) for entry in entries), why)
         else:
-            messages = sum(len(entry.stamps) for entry in entries)
-            losses.leave_chunk(place.start, place.index_start - place.start, messages, unknown_compression(compression))
+            timeline.add_chunk(entries, uncompressed_bytes=uncompressed, stored_bytes=place.compressed_bytes)
         timeline.settle(before_ns)
 
 

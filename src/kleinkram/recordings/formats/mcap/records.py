@@ -8,15 +8,15 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChannelSets, PackedTable
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.index_check import IndexFaults
-from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.message_counts import Held, Listener
+from kleinkram.recordings.limits import MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.message_counts import Listener
 from kleinkram.recordings.model import Fact
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,8 +28,6 @@ FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
 PLACEHOLDER = 2**64 - 1
 """What stands for the length of a record or of data while it is being written (mcap-rs): a recorder that was killed
 leaves it."""
-UNFINISHED_CHUNK_BYTES = FREE_UNPACKED
-"""How much is read of the content of a chunk that does not say how much it holds."""
 STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
 _CHANNEL_AND_U64 = struct.Struct("<HQ")
@@ -112,19 +110,6 @@ class McapFacts:
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
     listener: McapListener | None = None
-
-    def fork(self) -> McapFacts:
-        """Return a copy: what a chunk defines in one is not in the other, and its listener is not told of it yet."""
-        listener = None if self.listener is None else Held[int](self.listener)
-        return replace(self, schemas=dict(self.schemas), channels=dict(self.channels), listener=listener)
-
-    def adopt(self, fork: McapFacts) -> None:
-        """Believe what a chunk has defined in a copy of this one."""
-        self.schemas.update(fork.schemas)
-        self.channels.update(fork.channels)
-        self.names_bytes = fork.names_bytes
-        if isinstance(fork.listener, Held):
-            fork.listener.release()
 
 
 class BodyReader:

@@ -1,6 +1,6 @@
 """Reading an MCAP from its first byte to its last: every record, every chunk, every CRC.
 
-Holds one chunk of at most `MAX_AT_ONCE` bytes (larger ones are decompressed in small steps), keeps no message, and
+Holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out), keeps no message, and
 goes on behind damage: behind a chunk that cannot be believed, and, where the records themselves break off, at the next
 place where one can begin. What is left out on the way is measured.
 """
@@ -12,12 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
-from kleinkram.recordings.compression import ReadUpTo, without_zero_tail
+from kleinkram.recordings.compression import unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import points_at_messages, walk_messages
-from kleinkram.recordings.formats.mcap.large_chunks import read_large_beginning, read_large_chunk
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
 from kleinkram.recordings.formats.mcap.resync import (
     LOOK,
@@ -35,8 +34,7 @@ from kleinkram.recordings.index_check import (
     wrong_compression,
     wrong_times,
 )
-from kleinkram.recordings.large_chunk import pieces_of
-from kleinkram.recordings.limits import MAX_AT_ONCE, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, WINDOW
 from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, Batch, Place, Tally
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Forward
@@ -251,22 +249,14 @@ class _Scanner:
             Malformed: nothing in it can be believed, and nothing was counted.
         """
         stream, scan = self._stream, self.scan
+        if why := unreadable_chunk(head.compression, stored=total, uncompressed=head.uncompressed):
+            raise why
         stream.ahead(total + LOOK)
-        is_held = total <= MAX_AT_ONCE
-        if is_held and scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
+        if scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
             raise Malformed("chunk", "nothing stands behind it")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
-        if not is_held or head.uncompressed > MAX_AT_ONCE:
-            end = stream.position + total
-            place = Place(CUT, stream.position, total, head.uncompressed)
-            if not is_held:
-                stream.advance(head.data_start)
-            take = pieces_of(stored) if is_held else stream.read_up_to
-            found, fault = read_large_chunk(take, head, scan.facts, scan.tally, place)
-            stream.advance(end - stream.position)
-            return found, fault
         batch = Batch(scan.facts.channels)
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         stretches = ((0, contents.walked),) if contents.fault else None
@@ -328,17 +318,9 @@ class _Scanner:
         start, before = stream.position, scan.tally.messages
         if head.is_unfinished:
             head = head._replace(stored=total - head.data_start)
-        if total <= MAX_AT_ONCE:
-            stream.ahead(total)
-            stored = bytes(stream.window[stream.at + head.data_start : stream.at + total])
-            stored = without_zero_tail(head.compression, stored) or stored
-            if head.is_unfinished and scan.losses.may_unpack(MAX_AT_ONCE, end=start + total):
-                head = chunks.with_known_size(head, stored)
-            used = self._save_beginning(stored, head)
-        else:
-            place = Place(CUT, start, total, head.uncompressed)
-            stream.advance(head.data_start)
-            used = self._save_large_beginning(stream.read_up_to, total - head.data_start, head, place)
+        at_hand = stream.ahead(min(total, MAX_CHUNK_BYTES))
+        stored = bytes(stream.window[stream.at + head.data_start : stream.at + at_hand])
+        used = self._save_beginning(without_zero_tail(head.compression, stored) or stored, head)
         if start + total == stream.size_bytes:
             self._give_up(cut, total - used)
             return
@@ -350,26 +332,15 @@ class _Scanner:
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
         scan, batch = self.scan, Batch(self.scan.facts.channels)
-        if head.uncompressed > MAX_AT_ONCE:
-            place = Place(CUT, self._stream.position, head.data_start + len(stored), head.uncompressed)
-            return self._save_large_beginning(pieces_of(memoryview(stored)), len(stored), head, place)
-        if not scan.losses.may_unpack(head.uncompressed, end=self._stream.size_bytes):
+        uncompressed = min(head.uncompressed, MAX_CHUNK_BYTES)
+        if head.compression and not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
             return 0
-        used, walked = chunks.read_beginning(stored, head, scan.facts, batch)
-        place = Place(CUT, self._stream.position, head.data_start + len(stored), head.uncompressed, ((0, walked),))
+        walked, _, raw = chunks.read_beginning(stored, head, scan.facts, batch)
+        place = Place(CUT, self._stream.position, head.data_start + len(stored), len(raw), ((0, walked),))
         before = scan.tally.messages
-        self._count(batch, head, place)
+        self._count(batch, head._replace(stored=len(stored), uncompressed=len(raw)), place)
         scan.losses.unproven += scan.tally.messages - before
-        return head.data_start + used if used else 0
-
-    def _save_large_beginning(self, take: ReadUpTo, stored: int, head: chunks.ChunkHead, place: Place) -> int:
-        scan, before = self.scan, self.scan.tally.messages
-        is_packed = bool(head.compression)
-        if is_packed and not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
-            return 0
-        used = read_large_beginning(take, stored, head, scan.facts, scan.tally, place)
-        scan.losses.unproven += scan.tally.messages - before
-        return head.data_start + used if used else 0
+        return head.data_start + len(stored) * walked // len(raw) if walked else 0
 
     def _note_listed(self, length: int) -> None:
         stream = self._stream

@@ -10,19 +10,18 @@ import re
 import struct
 from array import array
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.chunk_table import ChunkTable, Row, StoredChunk
+from kleinkram.recordings.chunk_table import Row, StoredChunk
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.mcap.chunks import RunBuilder
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields
 from kleinkram.recordings.index_check import FoundMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch, Held, Listener, Stretches
+from kleinkram.recordings.message_counts import Batch, Listener, Stretches
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, open_range
@@ -112,18 +111,6 @@ class BagFacts:
     names_bytes: int = 0
     layout: MessageLayout | None = None
     listener: BagListener | None = None
-
-    def fork(self) -> BagFacts:
-        """Return a copy: what a chunk defines in one is not in the other, and its listener is not told of it yet."""
-        listener = None if self.listener is None else Held[Fields](self.listener)
-        return replace(self, connections=dict(self.connections), listener=listener)
-
-    def adopt(self, fork: BagFacts) -> None:
-        """Believe what a chunk has defined in a copy of this one."""
-        self.connections.update(fork.connections)
-        self.names_bytes, self.layout = fork.names_bytes, fork.layout
-        if isinstance(fork.listener, Held):
-            fork.listener.release()
 
     def define(self, number: int, connection: Connection, where: str) -> None:
         """Note a connection; the first of a number counts."""
@@ -499,22 +486,6 @@ def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
         yield StreamedRecord(start, fields.opcode(), fields, data_bytes)
         if stream.position < end:
             stream.skip(end - stream.position)
-
-
-def table_of_records(stream: ForwardStream) -> ChunkTable:
-    """Return where the messages of a stream stand, up to where it is damaged."""
-    table = ChunkTable()
-    builder = RunBuilder(table)
-    try:
-        for record in read_records(stream):
-            if record.opcode == MESSAGE_DATA:
-                number, log_ns = record.fields.u32("conn"), record.fields.time_ns("time")
-                stream.skip(record.data_bytes)
-                builder.add(record.start, stream.position, number, log_ns)
-    except Malformed:
-        pass  # whoever wrote the stream has said what is wrong with it
-    builder.close()
-    return table
 
 
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
 from kleinkram.recordings.chunk_table import UNKNOWN, ChannelSets, PackedTable, smallest_to_come
-from kleinkram.recordings.compression import is_known_compression, unknown_compression
+from kleinkram.recordings.compression import unreadable_chunk
 from kleinkram.recordings.damage_report import Losses
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import records
@@ -193,12 +193,11 @@ def _read_chunk_indexes(source: Source, bag: _Bag) -> None:
     for (chunk, head, stream), before_ns in zip(_chunk_streams(source, bag), watermarks, strict=True):
         bag.compression.add(head.compression)
         entries = _read_chunk_entries(stream, bag, chunk)
-        if is_known_compression(head.compression):
-            sizes = head.uncompressed_bytes, head.data_bytes
-            bag.timeline.add_chunk(entries, uncompressed_bytes=sizes[0], stored_bytes=sizes[1])
+        stored, uncompressed = head.data_start + head.data_bytes, head.uncompressed_bytes
+        if why := unreadable_chunk(head.compression, stored=stored, uncompressed=uncompressed):
+            bag.losses.leave_chunk(chunk.position, stored, sum(len(entry.stamps) for entry in entries), why)
         else:
-            messages, why = sum(len(entry.stamps) for entry in entries), unknown_compression(head.compression)
-            bag.losses.leave_chunk(chunk.position, head.data_start + head.data_bytes, messages, why)
+            bag.timeline.add_chunk(entries, uncompressed_bytes=uncompressed, stored_bytes=head.data_bytes)
         bag.timeline.settle(before_ns)
 
 

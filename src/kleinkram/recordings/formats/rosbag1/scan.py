@@ -1,6 +1,6 @@
 """Reading a ROS 1 bag from its first byte to its last, with or without its index.
 
-Holds one chunk of at most `MAX_AT_ONCE` bytes (larger ones are decompressed in small steps), keeps no message, and
+Holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out), keeps no message, and
 goes on behind damage: behind a chunk that cannot be decompressed, and, where the records themselves break off, at the
 next place where one stands. What is left out on the way is measured; the chunk infos at the end of the file and the
 index data behind each chunk say how many messages there should be.
@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, PackedTable
-from kleinkram.recordings.compression import ReadUpTo, decompress, decompress_beginning, without_zero_tail
+from kleinkram.recordings.compression import decompress, decompress_beginning, unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
@@ -23,11 +23,9 @@ from kleinkram.recordings.formats.rosbag1.chunks import (
     parse_record,
     read_contents,
 )
-from kleinkram.recordings.formats.rosbag1.large_chunks import read_large_beginning, read_large_chunk
 from kleinkram.recordings.formats.rosbag1.records import Fields
 from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults, compare_with_scan, new_table
-from kleinkram.recordings.large_chunk import pieces_of
-from kleinkram.recordings.limits import MAX_AT_ONCE, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
+from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, Batch, Place, Tally
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Forward
@@ -132,7 +130,7 @@ class _Scanner:
     def _goes_on(self) -> bool:
         """Say whether a chunk that claims to reach beyond the end of the file is followed by something all the same."""
         stream = self._stream
-        stream.ahead(MAX_AT_ONCE)
+        stream.ahead(LOOK_AHEAD)
         return find_record(stream.window, stream.at + 1, len(stream.window), outside=True) is not None
 
     def _pass_record(self, record: Record, where: str) -> None:
@@ -207,18 +205,15 @@ class _Scanner:
         scan.compression.add(compression)
         before, damaged = scan.tally.messages, len(scan.losses.damage)
         try:
+            if why := unreadable_chunk(compression, stored=total, uncompressed=uncompressed):
+                raise why
             if compression != "none":
                 scan.losses.unpack(uncompressed, end=start + total)
-            if total > MAX_AT_ONCE:
-                stream.advance(head_bytes)
-                found = self._read_large_chunk(stream.read_up_to, record, Place(CUT, start, total, uncompressed))
-                stream.advance(start + total - stream.position)
-            else:
-                stream.ahead(total + _LOOK)
-                self._doubt(total, compression)
-                stored = stream.window[stream.at + head_bytes : stream.at + total]
-                found, length = self._read_chunk(record, stored)
-                stream.advance(length)
+            stream.ahead(total + _LOOK)
+            self._doubt(total, compression)
+            stored = stream.window[stream.at + head_bytes : stream.at + total]
+            found, length = self._read_chunk(record, stored)
+            stream.advance(length)
         except Malformed as error:
             self._leave_chunk(start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
             return
@@ -254,20 +249,11 @@ class _Scanner:
         """Add the messages of a chunk whose data are at hand; return them, and how many bytes of the file it takes."""
         start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
-        if uncompressed > MAX_AT_ONCE:
-            found = self._read_large_chunk(pieces_of(stored), record, Place(CUT, start, total, uncompressed))
-            return found, total
         raw = decompress(compression, stored, uncompressed)
         place = Place(CHUNK, start, total, uncompressed)
         found, end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
         self._content = raw
         return found, total if end == len(raw) else head_bytes + end
-
-    def _read_large_chunk(self, take: ReadUpTo, record: Record, place: Place) -> FoundMessages:
-        found, fault = read_large_chunk(take, record, self.scan.facts, self.scan.tally, place)
-        if fault is not None:
-            self.scan.losses.note(Malformed(f"chunk at byte {place.start}", fault.message))
-        return found
 
     def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> tuple[FoundMessages, int]:
         """Add the messages of a chunk; return them, and where in `raw` it ends."""
@@ -330,7 +316,7 @@ class _Scanner:
         """Save what there is of a chunk that reaches beyond the end of the file."""
         stream, scan = self._stream, self.scan
         try:
-            compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
+            compression, _ = record.fields.text("compression"), record.fields.u32("size")
         except Malformed as damage:
             self._resync(damage)
             return
@@ -338,14 +324,9 @@ class _Scanner:
         scan.compression.add(compression)
         scan.losses.chunks += 1
         left, head_bytes = stream.left, record.data_start - record.start
-        if left <= MAX_AT_ONCE:
-            stream.ahead(left)
-            stored = bytes(stream.window[stream.at + head_bytes :])
-            used = self._save_beginning(without_zero_tail(compression, stored) or stored, record)
-        else:
-            place = Place(CUT, stream.position, left, uncompressed)
-            stream.advance(head_bytes)
-            used = self._save_large_beginning(stream.read_up_to, stream.left, record, place)
+        at_hand = stream.ahead(min(left, MAX_CHUNK_BYTES))
+        stored = bytes(stream.window[stream.at + head_bytes : stream.at + at_hand])
+        used = self._save_beginning(without_zero_tail(compression, stored) or stored, record)
         scan.losses.note(cut)
         scan.losses.bytes += left - used
         scan.losses.messages_are_known = False
@@ -355,28 +336,17 @@ class _Scanner:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
         scan, head_bytes = self.scan, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
-        if uncompressed > MAX_AT_ONCE:
-            place = Place(CUT, self._stream.position, head_bytes + len(stored), uncompressed)
-            return self._save_large_beginning(pieces_of(memoryview(stored)), len(stored), record, place)
-        if not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
+        uncompressed = min(uncompressed, MAX_CHUNK_BYTES)
+        if compression != "none" and not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
             return 0
         raw = decompress_beginning(compression, stored, uncompressed)
         batch = Batch(scan.facts.connections)
         holes, _, stretches = read_contents(raw, scan.facts, batch)
         self._define()
-        self._tell(Place(CUT, self._stream.position, head_bytes + len(stored), uncompressed, stretches), batch)
+        self._tell(Place(CUT, self._stream.position, head_bytes + len(stored), len(raw), stretches), batch)
         scan.losses.unproven += scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
         followed = len(raw) - sum(hole.end - hole.start for hole in holes)
         return head_bytes + len(stored) * followed // len(raw) if followed else 0
-
-    def _save_large_beginning(self, take: ReadUpTo, stored: int, record: Record, place: Place) -> int:
-        scan, before = self.scan, self.scan.tally.messages
-        is_packed = record.fields.text("compression") != "none"
-        if is_packed and not scan.losses.may_unpack(place.uncompressed, end=self._stream.size_bytes):
-            return 0
-        used = read_large_beginning(take, stored, record, scan.facts, scan.tally, place)
-        scan.losses.unproven += scan.tally.messages - before
-        return record.data_start - record.start + used if used else 0
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
         """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""

@@ -1,11 +1,10 @@
-"""A chunk comes out the same whether it is held as a whole or read in small steps: whole, damaged, cut, or hostile."""
+"""Chunks that are damaged, cut, hostile or too large: what can be read of them is read, and the loss is measured."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from random import Random
@@ -23,12 +22,13 @@ from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
+from .agreement import accounts_of, disagreements
 from .memory_source import MemorySource
+from .reading import making
 from .test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
 PACK = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
-IN_STEPS = 1_000
 INDEX_OF_1000 = records.RECORD_HEAD.pack(records.MESSAGE_INDEX, 2 + 4 + 16 * 1_000)
 
 
@@ -50,65 +50,57 @@ def packed(compression: bytes, content: bytes, *, crc: int | None = None) -> byt
     return chunk(compression, PACK[compression](content), len(content), crc)
 
 
-def both_ways(data: bytes, monkeypatch: pytest.MonkeyPatch, name: str = "a.mcap") -> RecordingSummary:
-    """Scan with every chunk held as a whole, and with each read in steps: the answers are the same."""
-    held = scan(from_source(MemorySource(data, name)))
-    with monkeypatch.context() as patched:
-        patched.setattr("kleinkram.recordings.formats.mcap.scan.MAX_AT_ONCE", IN_STEPS)
-        patched.setattr("kleinkram.recordings.formats.rosbag1.scan.MAX_AT_ONCE", IN_STEPS)
-        stepped = scan(from_source(MemorySource(data, name)))
-    assert replace(stepped, problems=(), reason=None) == replace(held, problems=(), reason=None)
-    assert [problem.where for problem in stepped.problems] == [problem.where for problem in held.problems]
-    return stepped
+def scan_bytes(data: bytes, name: str = "a.mcap") -> RecordingSummary:
+    return scan(from_source(MemorySource(data, name)))
 
 
 @pytest.mark.parametrize("compression", PACK)
-def test_a_wrong_checksum_leaves_out_the_whole_chunk(compression: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_checksum_leaves_out_the_whole_chunk(compression: bytes) -> None:
     before, after = messages(10), messages(10, 30)
     data = mcap_of(
         packed(compression, channel_record(0, b"/a") + before)
         + packed(compression, channel_record(1, b"/lie") + messages(20, 10), crc=1)
         + packed(compression, after)
     )
-    summary = both_ways(data, monkeypatch)
+    summary = scan_bytes(data)
     assert (summary.content, summary.message_count) == (Content.recovered, 20)
     assert [(topic.name, topic.out_of_order_count) for topic in summary.topics] == [("/a", 0)]
     assert "its checksum is wrong" in (summary.reason or "")
 
 
 @pytest.mark.parametrize("compression", PACK)
-def test_records_that_break_off_keep_what_stands_before(compression: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_that_break_off_keep_what_stands_before(compression: bytes) -> None:
     content = channel_record(0, b"/a") + messages(20) + bytes(300)
-    summary = both_ways(mcap_of(packed(compression, content)), monkeypatch)
+    summary = scan_bytes(mcap_of(packed(compression, content)))
     assert (summary.content, summary.message_count) == (Content.recovered, 20)
 
 
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
 @pytest.mark.parametrize("how", ["cut short", "with more", "claims less"])
-def test_data_that_do_not_end_with_the_chunk(how: str, compression: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_that_do_not_end_with_the_chunk(how: str, compression: bytes) -> None:
     content = channel_record(0, b"/a") + messages(20)
     stored = PACK[compression](content)
     stored = {"cut short": stored[:-3], "with more": stored + b"more", "claims less": stored}[how]
     claimed = len(content) - (209 + 22 if how == "claims less" else 0)
     data = mcap_of(chunk(compression, stored, claimed) + packed(compression, channel_record(0, b"/a") + messages(5)))
-    assert both_ways(data, monkeypatch).message_count == 5
+    assert scan_bytes(data).message_count == 5
 
 
-def test_order_and_gaps_go_on_over_large_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_order_and_gaps_go_on_over_damaged_chunks() -> None:
     data = mcap_of(
         packed(b"zstd", channel_record(0, b"/a") + messages(20, 500))
         + packed(b"zstd", messages(20, 100), crc=1)
         + packed(b"zstd", messages(20))
     )
-    (topic,) = both_ways(data, monkeypatch).topics
+    (topic,) = scan_bytes(data).topics
     assert (topic.count, topic.out_of_order_count, topic.longest_gap_ns) == (40, 20, 481)
 
 
 @pytest.mark.parametrize("compression", [Compression.zstd, Compression.none])
-def test_a_cut_chunk_is_saved_and_measured(compression: Compression, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cut_chunk_is_saved_and_measured(compression: Compression) -> None:
     whole = mcap_of_writer(compression, payload_bytes=1_000, count=1_000)
     data = whole[: whole.index(INDEX_OF_1000) * 7 // 10]
-    summary = both_ways(data, monkeypatch)
+    summary = scan_bytes(data)
     assert summary.message_count is not None
     assert summary.lost is not None
     assert 500 < summary.message_count < 800
@@ -193,9 +185,7 @@ def bag_of_one_chunk(compression: BagCompression, *, payload_bytes: int, count: 
     return data, start, start + 8 + head_bytes + data_bytes
 
 
-def test_what_is_read_is_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the messages of a large chunk turn out to be none, after those of another were told."""
-    monkeypatch.setattr("kleinkram.recordings.formats.mcap.scan.MAX_AT_ONCE", IN_STEPS)
+def test_what_is_read_is_what_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     content = packed(b"zstd", channel_record(0, b"/a") + messages(10))
     lie = packed(b"zstd", channel_record(1, b"/lie") + messages(20, 10, 1), crc=1)
@@ -233,7 +223,7 @@ def test_a_file_of_bombs_is_unpacked_up_to_a_bound(
     data = make()
     monkeypatch.setattr(losses_module, "FREE_UNPACKED", 10 * 2**20)
     monkeypatch.setattr(losses_module, "MAX_EXPANSION", 2)
-    summary = both_ways(data, monkeypatch, name)
+    summary = scan_bytes(data, name)
     assert summary.content is Content.recovered
     assert summary.message_count == 10
     assert summary.lost is not None
@@ -241,3 +231,21 @@ def test_a_file_of_bombs_is_unpacked_up_to_a_bound(
     assert "would unpack to more than" in (summary.reason or "")
     monkeypatch.undo()
     assert scan(from_source(MemorySource(data, name))).content is Content.indexed
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_a_chunk_above_the_limit_is_left_out_by_all_readers(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kleinkram.recordings.compression.MAX_CHUNK_BYTES", 50_000)
+    small, large = [("/t", T0 + n, b"x" * 10) for n in range(5)], [("/t", T0 + 10 + n, b"x" * 1000) for n in range(100)]
+    source = (making.mcap_of if kind == "mcap" else making.bag_of)([small, large, [("/t", T0 + 1000, b"x")]])
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(source.read(0, source.size_bytes))
+    (accounts,) = accounts_of(tmp_path)
+    assert disagreements(accounts) == []
+    assert (accounts.summary.content, accounts.summary.count) == (Content.recovered, 6)
+    summary = scan_bytes(path.read_bytes(), path.name)
+    assert "chunks above 50000 are not read" in (summary.reason or "")
+    assert summary.lost is not None
+    assert (summary.lost.chunks, summary.lost.messages) == (1, 100)
