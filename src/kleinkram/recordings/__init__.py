@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.combine import combine
+    from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
     from kleinkram.recordings.formats.base import sniff
     from kleinkram.recordings.formats.rosbag2.metadata import (
@@ -111,7 +111,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "combine": ("combine",),
+    "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
     "sources": ("CountingSource", "FileSource", "Forward", "Source", "from_file", "from_pipe", "from_source"),
     "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),

@@ -21,17 +21,12 @@ from kleinkram.recordings.chunk_table import ChunkTable, PackedTable, Row, Store
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.mcap.records import MAGIC as MCAP_MAGIC
-from kleinkram.recordings.formats.mcap.records import Channel as McapChannel
-from kleinkram.recordings.formats.mcap.scan import scan_records
-from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.formats.rosbag1.scan import scan_bag_records
 from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_READ, WINDOW
 from kleinkram.recordings.merge import OVERHEAD_BYTES, Job, Piece, Run, do_ahead, merge
-from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, ROW, Batch, Place
+from kleinkram.recordings.message_counts import ROW, Batch, Place, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, Selection
-from kleinkram.recordings.sources import Source, SourceForward
+from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
 
 MAX_MESSAGE = 64 * 2**20
@@ -135,7 +130,7 @@ class _Reader:
                 return self.read_again(row)
 
             first_ns = max(row.first_ns, selection.start_ns)
-            yield Piece(first_ns, (*order, number), open_next, read_again if row.kind == CHUNK else None)
+            yield Piece(first_ns, (*order, number), open_next, read_again if row.kind == PlaceKind.chunk else None)
 
     def _with_missed(self, row: Row, run: Run) -> Run:
         """Return the messages of a chunk; where the index was seen to be wrong meanwhile, here or by another reader of
@@ -192,30 +187,30 @@ class _Reader:
         return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
-        if row.kind == RECORDS:
+        if row.kind == PlaceKind.records:
             if row.length > MAX_MESSAGE:
                 return Malformed(
                     f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
                 )
-        elif row.length > MAX_CHUNK_BYTES and row.kind == CHUNK:
+        elif row.length > MAX_CHUNK_BYTES and row.kind == PlaceKind.chunk:
             return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
         return self._take(row, _read(self._file.source, row.start, row.length))
 
     def _take(self, row: Row, data: Buffer) -> Loaded:
         """Return the content of a row whose bytes are at hand: records as they stand, a chunk unpacked."""
-        return data if row.kind == RECORDS else self._unpack(row, data)
+        return data if row.kind == PlaceKind.records else self._unpack(row, data)
 
     def _unpack(self, row: Row, data: Buffer) -> Loaded:
         try:
             stream = open_bytes(bytes(data[:_HEAD_BYTES]), row.start)
             head = self._file.format.open_chunk(stream)
-            if row.kind == CHUNK and (
+            if row.kind == PlaceKind.chunk and (
                 why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes)
             ):
                 return why
             start = stream.position - row.start
             stored = memoryview(data)[start : start + head.stored_bytes]
-            if row.kind == CUT:
+            if row.kind == PlaceKind.cut:
                 most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
                 return decompress_beginning(head.compression, bytes(stored), most_bytes)
             content = decompress(head.compression, stored, head.uncompressed_bytes)
@@ -247,8 +242,8 @@ class _Reader:
         """Read what a scan finds in a damaged chunk, or instead of one that does not stand where the index says."""
         file = self._file
         gaps: Iterable[Gap] = []
-        if not file.is_part and row.kind != RECORDS:
-            is_there = row.kind == CUT or end_of_chunk(file.source, row, file.format.open_chunk) is not None
+        if not file.is_part and row.kind != PlaceKind.records:
+            is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
             gaps = [Gap(row.start, row.end)] if is_there else self._unlisted()
         size = sum(gap.end - gap.start for gap in gaps)
         saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
@@ -313,7 +308,7 @@ class _Reader:
         self._file.noticed.add("damaged", f"chunk at byte {row.start}", message)
 
     def _note(self, row: Row, error: Malformed) -> None:
-        what = "messages" if row.kind == RECORDS else "chunk"
+        what = "messages" if row.kind == PlaceKind.records else "chunk"
         self._file.noticed.add("damaged", f"{what} at byte {row.start}", f"left out: {error.message}")
 
 
@@ -330,8 +325,8 @@ _MOST_STRETCHES = 200_000
 _NO_TIME = (2**64 - 1, 0)
 
 
-class Gathering:
-    """Gathers the places of messages into rows of a table.
+class ChunkTableBuilder:
+    """Makes a table of chunks from the places of messages that a scan finds.
 
     Attributes:
         counts: messages by channel; those of several channels of one topic count for one of them.
@@ -340,7 +335,7 @@ class Gathering:
     def __init__(self, table: ChunkTable, noticed: Noticed) -> None:
         self.counts: dict[int, int] = {}
         self.noticed = noticed
-        self._table = table
+        self.table = table
         self._place: Place | None = None
         self._channels: set[int] = set()
         self._first_ns, self._last_ns = _NO_TIME
@@ -348,14 +343,14 @@ class Gathering:
         self._counts_here: dict[int, int] = {}
         self._stretches = 0
 
-    def hear(self, place: Place, batch: Batch) -> None:
-        """Take note of messages at a place, which may come in several calls."""
+    def on_messages(self, place: Place, batch: Batch) -> None:
+        """Note messages at a place. May be called several times for one place."""
         if not any(batch.values()):
             return
         if self._place is None or not self._joins(place):
             self.close()
             self._place = place
-        elif place.kind == RECORDS:
+        elif place.kind == PlaceKind.records:
             length = self._place.length + place.length
             self._place = self._place._replace(length=length, uncompressed=length)
         seen: set[int] = set()
@@ -376,11 +371,11 @@ class Gathering:
         place = self._place
         if place is not None and self._remembers(place):
             kind, start, length, uncompressed, stretches = place
-            members = self._table.sets.number(self._channels)
+            members = self.table.sets.number(self._channels)
             times = self._first_ns, self._last_ns
-            self._table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
+            self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
             if stretches is not None:
-                self._table.stretches[start] = stretches
+                self.table.stretches[start] = stretches
         for number, count in self._counts_here.items():
             self.counts[number] = self.counts.get(number, 0) + count
         self._begin()
@@ -394,7 +389,7 @@ class Gathering:
         known = self._place
         if known is None or known.kind != place.kind:
             return False
-        if place.kind != RECORDS:
+        if place.kind != PlaceKind.records:
             return known.start == place.start
         fits = known.length + place.length <= WINDOW and self._messages < _MOST_OF_RUN
         return fits and known.start + known.length == place.start
@@ -402,7 +397,7 @@ class Gathering:
     def _remembers(self, place: Place) -> bool:
         """Say whether there is room for a place; a file of nothing but damage is not remembered to its end."""
         self._stretches += len(place.stretches or ())
-        if self._stretches <= _MOST_STRETCHES and len(self._table.rows) < MAX_CHUNKS:
+        if self._stretches <= _MOST_STRETCHES and len(self.table.rows) < MAX_CHUNKS:
             return True
         self.noticed.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
         return False
@@ -455,40 +450,8 @@ class Saved:
     table: ChunkTable
 
 
-class _Gathering(Gathering):
-    def define(self, *_definition: object) -> None:
-        """Do nothing: the index has defined all."""
-
-
 Salvage = Callable[[Source, Iterable[Gap], Mapping[int, Channel]], Saved]
 OpenChunk = Callable[[ForwardStream], StoredChunk]
-
-
-def salvage_mcap(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
-    """Scan parts of an MCAP, such as a chunk and its message indexes.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
-    part, table = Part(source, MCAP_MAGIC, gaps), ChunkTable()
-    gathering = _Gathering(table, Noticed())
-    known = {number: McapChannel(0, channel.topic, channel.message_encoding) for number, channel in channels.items()}
-    scan_records(SourceForward(part), gathering, known)
-    gathering.close()
-    return Saved(part, table)
-
-
-def salvage_bag(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
-    """Scan parts of a bag, such as a chunk and its index data.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
-    part, table = Part(source, BAG_MAGIC, gaps), ChunkTable()
-    gathering = _Gathering(table, Noticed())
-    scan_bag_records(SourceForward(part), gathering)
-    gathering.close()
-    return Saved(part, table)
 
 
 def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:

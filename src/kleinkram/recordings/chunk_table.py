@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import le
@@ -131,7 +131,8 @@ class StoredChunk(NamedTuple):
 class Row(NamedTuple):
     """A piece of a file: [start, start + length). Times are inclusive; `uncompressed_bytes` may be a guess.
 
-    `end`: behind what belongs to it, such as its message indexes. `kind`: as in `listening.Place`.
+    `end`: behind what belongs to it, such as its message indexes. `kind`: as in `Place`. `stored_bytes`, `messages`:
+    `UNKNOWN` where the index does not say.
     """
 
     start: int
@@ -142,6 +143,8 @@ class Row(NamedTuple):
     kind: int
     channels: int
     uncompressed_bytes: int
+    stored_bytes: int = UNKNOWN
+    messages: int = UNKNOWN
 
 
 @dataclass
@@ -159,6 +162,12 @@ class ChunkTable:
     def known_channels(self) -> frozenset[int]:
         """Return all channels that some chunk is known to hold."""
         return frozenset().union(*self.sets.members)
+
+    def span(self, without: Container[int] = ()) -> tuple[int | None, int | None]:
+        """Return first and last time of all chunks; `without` those that start at these places, or are empty."""
+        rows = [row for row in self.rows if row.uncompressed_bytes and row.start not in without]
+        first_ns = min((row.first_ns for row in rows), default=None)
+        return first_ns, max((row.last_ns for row in rows), default=None)
 
     def select(self, selection: Selection, wanted: frozenset[int]) -> array[int]:
         """Return the numbers of the rows that may hold what is wanted, by their first time, then by place."""

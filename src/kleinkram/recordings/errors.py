@@ -55,6 +55,10 @@ class Malformed(RecordingError):
         self.certain = certain
 
 
+class Cut(Malformed):
+    """The bytes end before the thing that is being read does."""
+
+
 class NotIndexed(RecordingError):
     """The file has no index that can be used, so that it must be read whole. Never leaves `recordings`."""
 

@@ -10,12 +10,13 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import gt
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, ChunkTable, PackedTable, Row
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.merge import Job, do_ahead
-from kleinkram.recordings.message_counts import CHUNK, ROW, Batch
+from kleinkram.recordings.message_counts import ROW, Batch, PlaceKind
 from kleinkram.recordings.model import Problem, counted
 from kleinkram.recordings.sources import FileSource, Source
 from kleinkram.recordings.topic_statistics import gathered
@@ -272,7 +273,7 @@ class IndexCheck:
 
     def _corrected(self, row: Row, found: FoundMessages | None) -> Row:
         """Return a chunk with the times and channels that its message index lists, too; note where they differ."""
-        if row.kind != CHUNK:
+        if row.kind != PlaceKind.chunk:
             return row
         is_contradiction = row.first_ns > row.last_ns
         if found is None or not found.messages:
@@ -296,3 +297,15 @@ def _times_of(row: Row, found: FoundMessages | None) -> tuple[int, int] | None:
     if found is not None and found.messages:
         return found.first_ns, found.last_ns
     return (row.first_ns, row.last_ns) if row.first_ns <= row.last_ns else None
+
+
+def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:
+    """Say whether the times of chunks cannot be true. `span`: of all messages, as the statistics say."""
+    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    if any(map(gt, firsts, lasts)):
+        return True
+    if None in span or not firsts:
+        return False
+    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
+    return span != (min(filled, default=span[0]), max(lasts))

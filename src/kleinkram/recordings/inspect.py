@@ -10,7 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
-from kleinkram.recordings.combine import combine, combine_folder
+from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.grouping import (
     METADATA_NAME,

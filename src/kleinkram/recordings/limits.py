@@ -35,6 +35,9 @@ MAX_NAME = 4096
 MAX_NAMES = 8 * 2**20
 """Bytes of all names of one file together."""
 
+MAX_DEFINITIONS = 32 * 2**20
+"""Bytes of all message definitions of one file; later ones are left out."""
+
 MAX_TOPICS = 20_000
 """Topics of one file. MCAP can count to 65535 channels, a bag to 2^32 connections."""
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from operator import gt
 from typing import Protocol
 
-from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of, salvage_bag, salvage_mcap
-from kleinkram.recordings.chunk_table import ChunkTable, Row
+from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import Noticed
-from kleinkram.recordings.errors import NotIndexed, TooCostly
-from kleinkram.recordings.formats.mcap import chunks as mcap_chunks
-from kleinkram.recordings.formats.mcap.reading_index import McapIndex, read_index, rebuild_index
-from kleinkram.recordings.formats.rosbag1 import chunks as bag_chunks
-from kleinkram.recordings.formats.rosbag1 import reading_index
-from kleinkram.recordings.index_check import IndexCheck
+from kleinkram.recordings.errors import TooCostly
+from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
 from kleinkram.recordings.merge import Piece
 from kleinkram.recordings.messages import Channel, Selection
 from kleinkram.recordings.model import RecordingSummary
@@ -54,17 +49,36 @@ class Member(Protocol):
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
         """Yield what may hold the messages that are wanted, by first time."""
 
-    def close(self) -> None:
-        """Give up what was opened for it; a second call does nothing."""
-
 
 class ChunkedMember:
-    """A file made of chunks."""
+    """A file made of chunks.
 
-    def __init__(self, file: ChunkedFile, contents: Contents, summary: RecordingSummary | None = None) -> None:
+    Args of `__init__`:
+        table: its chunks.
+        summary: what is in it, if it was scanned to be opened.
+        with_index_check: whether the table comes from the file's own index, which may be wrong.
+        claimed_span: first and last time of all messages, as the statistics say.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        chunk_format: ChunkFormat,
+        table: ChunkTable,
+        contents: Contents,
+        noticed: Noticed,
+        *,
+        summary: RecordingSummary | None = None,
+        with_index_check: bool = False,
+        claimed_span: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        check = IndexCheck(source, table, noticed, chunk_format.read_message_index) if with_index_check else None
+        if check is not None and contradicts_itself(table, claimed_span):
+            check.doubt()
+            check.settle()
         self._contents = contents
+        self._file = ChunkedFile(source, chunk_format, table, contents.channels, noticed, check=check)
         self.summary = summary
-        self._file = file
 
     @property
     def contents(self) -> Contents:
@@ -83,23 +97,6 @@ class ChunkedMember:
         if self._file.check is not None:
             self._file.check.doubt()
 
-    def close(self) -> None:
-        """Do nothing: whoever opened the source closes it."""
-
-
-MCAP = ChunkFormat(
-    mcap_chunks.open_chunk,
-    mcap_chunks.parse_messages,
-    salvage_mcap,
-    mcap_chunks.read_message_index,
-)
-_BAG = ChunkFormat(
-    bag_chunks.open_chunk,
-    bag_chunks.parse_messages,
-    salvage_bag,
-    bag_chunks.read_message_index,
-)
-
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
     """Make sure that a file may be read whole; `most_bytes` None: whatever its size.
@@ -109,82 +106,3 @@ def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
     """
     if most_bytes is not None and source.size_bytes > most_bytes:
         raise TooCostly(source.name, source.size_bytes, why)
-
-
-def open_mcap(
-    source: Source, noticed: Noticed, *, message_compression: str = "", most_bytes: int | None = None
-) -> ChunkedMember:
-    """Open an MCAP by its index; one without is read once from end to end, and what is broken in it is noted.
-
-    Raises:
-        TooCostly: it would have to be read whole, and has more than `most_bytes`.
-        SourceError: as `Source.read`.
-    """
-    index, summary = _mcap_index(source, noticed, most_bytes)
-    channels = index.definitions.resolve(message_compression)
-    check = None
-    if summary is None:
-        check = IndexCheck(source, index.table, noticed, mcap_chunks.read_message_index)
-        if _contradicts_itself(index.table, None if index.unreadable else (index.start_ns, index.end_ns)):
-            check.doubt()
-            check.settle()
-    start_ns, end_ns = (index.start_ns, index.end_ns) if index.message_count is not None else _span(index)
-    contents = Contents(channels, index.counts, index.message_count, start_ns, end_ns)
-    file = ChunkedFile(source, MCAP, index.table, channels, noticed, check=check)
-    return ChunkedMember(file, contents, summary)
-
-
-def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
-    """Open a ROS 1 bag by its index; one without is read once from end to end, and what is broken in it is noted.
-
-    Raises:
-        TooCostly: it would have to be read whole, and has more than `most_bytes`.
-        SourceError: as `Source.read`.
-    """
-    summary = None
-    try:
-        index = reading_index.read_index(source)
-    except NotIndexed as refusal:
-        check_cost(source, most_bytes, str(refusal))
-        noticed.add(refusal.code, source.name, str(refusal))
-        index, summary = reading_index.rebuild_index(source, noticed)
-    rows, check = index.table.rows, None
-    if summary is None:
-        check = IndexCheck(source, index.table, noticed, bag_chunks.read_message_index)
-        if _contradicts_itself(index.table, None):
-            check.doubt()
-            check.settle()
-    start_ns = min(rows.column(Row._fields.index("first_ns")), default=None)
-    end_ns = max(rows.column(Row._fields.index("last_ns")), default=None)
-    contents = Contents(index.channels, index.counts, sum(index.counts.values()), start_ns, end_ns)
-    file = ChunkedFile(source, _BAG, index.table, index.channels, noticed, check=check)
-    return ChunkedMember(file, contents, summary)
-
-
-def _contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None] | None) -> bool:
-    """Say whether the times of chunks cannot be true. `span`: of all messages, as the statistics say; None: unknown."""
-    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
-    if any(map(gt, firsts, lasts)):
-        return True
-    if span is None or None in span or not firsts:
-        return False
-    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
-    filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
-    return span != (min(filled, default=span[0]), max(lasts))
-
-
-def _mcap_index(source: Source, noticed: Noticed, most_bytes: int | None) -> tuple[McapIndex, RecordingSummary | None]:
-    try:
-        return read_index(source), None
-    except NotIndexed as refusal:
-        check_cost(source, most_bytes, str(refusal))
-        if refusal.is_problem:
-            noticed.add(refusal.code, source.name, str(refusal))
-        return rebuild_index(source, noticed)
-
-
-def _span(index: McapIndex) -> tuple[int | None, int | None]:
-    rows = [row for row in index.table.rows if row.uncompressed_bytes and row.start not in index.unreadable]
-    if not rows:
-        return None, None
-    return min(row.first_ns for row in rows), max(row.last_ns for row in rows)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from itertools import islice
 from operator import sub
 from typing import NamedTuple, Protocol
@@ -140,8 +141,13 @@ def _waiting(number: int) -> str:
     return f"{_WAITING}{number}"
 
 
-CHUNK, RECORDS, CUT = range(3)
-"""What a place is: a chunk; records outside of chunks; a cut chunk, which is read as far as it goes."""
+class PlaceKind(IntEnum):
+    """What a place is: a chunk; records outside of chunks; a cut chunk, which is read as far as it goes."""
+
+    chunk = 0
+    records = 1
+    cut = 2
+
 
 Stretches = tuple[tuple[int, int], ...]
 
@@ -150,20 +156,20 @@ class Place(NamedTuple):
     """Bytes of a file that hold messages: [start, start + length).
 
     Attributes:
-        kind: `CHUNK`, `RECORDS` or `CUT`.
+        kind: see `PlaceKind`.
         uncompressed: bytes of the content.
         stretches: the parts [start, end) of the content that can be followed; None: all of it.
     """
 
-    kind: int
+    kind: PlaceKind
     start: int
     length: int
     uncompressed: int
     stretches: Stretches | None = None
 
 
-class Listener(Protocol):
-    """Is told of messages in the order in which the scan finds them."""
+class MessageObserver(Protocol):
+    """Receives the places of messages in the order in which a scan finds them."""
 
-    def hear(self, place: Place, batch: Batch) -> None:
-        """Take note of messages at a place, which may come in several calls."""
+    def on_messages(self, place: Place, batch: Batch) -> None:
+        """Note messages at a place. May be called several times for one place."""

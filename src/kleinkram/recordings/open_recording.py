@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Protocol, runtime_checkable
 
-from kleinkram.recordings.combine import combine, combine_folder
+from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.compression import open_decompressed
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed, NotARecording, SeveralRecordings, SourceError
 from kleinkram.recordings.formats.base import sniff
+from kleinkram.recordings.formats.mcap.format import open_mcap
+from kleinkram.recordings.formats.rosbag1.format import open_bag
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES, find_leftovers, not_read, replay, replayed_copy
 from kleinkram.recordings.formats.rosbag2.db3 import DatabaseMember
 from kleinkram.recordings.formats.rosbag2.metadata import (
@@ -24,7 +26,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
 )
 from kleinkram.recordings.formats.rosbag2.recovered_member import open_recovered
 from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
-from kleinkram.recordings.member import ChunkedMember, Member, check_cost, open_bag, open_mcap
+from kleinkram.recordings.member import ChunkedMember, Member, check_cost
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, Source, SourceForward
 from kleinkram.recordings.summary import scan, summarise

@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 
-from kleinkram.recordings.errors import Malformed, SourceError
+from kleinkram.recordings.errors import Cut, Malformed, SourceError
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
 from kleinkram.recordings.sources import Forward, Source
 
@@ -17,10 +17,6 @@ _STEP = 256 * 2**10
 _FIRST_BUFFER = 2 * 2**20
 
 Refill = Callable[[], bytes]
-
-
-class Cut(Malformed):
-    """The bytes end before the thing that is being read does."""
 
 
 class ForwardStream:

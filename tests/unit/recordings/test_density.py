@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.combine import combine
+from kleinkram.recordings.combine_summaries import combine
 from kleinkram.recordings.density import FEW_BINS, MANY_TOPICS, MAX_BINS, add_up, count_stamps, on_axis, pack, unpack
 from kleinkram.recordings.isolation import from_dict, to_dict
 from kleinkram.recordings.model import Content, Density, RecordingFormat, RecordingSummary

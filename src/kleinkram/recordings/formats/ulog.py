@@ -14,11 +14,11 @@ from array import array
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS, WINDOW
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import Forward
-from kleinkram.recordings.streams import Cut, ForwardStream
+from kleinkram.recordings.streams import ForwardStream
 from kleinkram.recordings.timeline import Timeline
 from kleinkram.recordings.topic_statistics import TopicType, bounded, measure
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings.formats.mcap.reading_index import read_index
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.reading import NoSuchTopic, Recording, SeveralRecordings
 from kleinkram.recordings.sample import generate_db3, generate_mcap
 

@@ -18,7 +18,7 @@ from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, Mcap
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
 from kleinkram.recordings.index_check import FoundMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import RECORDS, Batch, Place
+from kleinkram.recordings.message_counts import Batch, Place, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, Lookahead, open_range
@@ -58,7 +58,6 @@ def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, i
 
 _U64 = struct.Struct("<Q")
 _DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
-HEAD_OF_DEFINITION = 3 * 4096 + 16
 
 
 class ChunkHead(NamedTuple):
@@ -123,19 +122,10 @@ def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batc
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def tell(facts: McapFacts, place: Place, batch: Batch) -> None:
-    """Tell the listener, if there is one, of messages at a place."""
-    if facts.listener is not None:
-        facts.listener.hear(place, batch)
-
-
-def tell_definition(stream: Lookahead, facts: McapFacts, opcode: int, where: str) -> None:
-    """Tell the listener, if there is one, of the next record, if it is a definition outside of chunks."""
-    if facts.listener is not None and opcode in (records.SCHEMA, records.CHANNEL):
-        _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
-        most = RECORD_HEAD.size + min(length, MAX_TAKE)
-        stream.ahead(most)
-        facts.listener.define(opcode, bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + most]), where)
+def notify(facts: McapFacts, place: Place, batch: Batch) -> None:
+    """Pass messages at a place to the observer, if there is one."""
+    if facts.observer is not None:
+        facts.observer.on_messages(place, batch)
 
 
 def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
@@ -153,21 +143,10 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
             return Contents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
-                _define(facts, opcode, raw[body : body + _most_of_definition(facts, length)], f"byte {at}")
+                _DEFINITIONS[opcode](facts, raw[body : body + min(length, MAX_TAKE)], f"byte {at}")
             except Malformed as fault:
                 return Contents(at, fault)
         at = body + length
-
-
-def _most_of_definition(facts: McapFacts, length: int) -> int:
-    """Return how much of a definition is looked at: its names, or all of it for a listener."""
-    return min(length, HEAD_OF_DEFINITION if facts.listener is None else MAX_TAKE)
-
-
-def _define(facts: McapFacts, opcode: int, body: bytes, where: str) -> None:
-    _DEFINITIONS[opcode](facts, body, where)
-    if facts.listener is not None:
-        facts.listener.define(opcode, body, where)
 
 
 def read_large_message(stream: Lookahead) -> tuple[int, tuple[int, int, int]]:
@@ -346,7 +325,7 @@ class RunBuilder:
         if self._count:
             length = self._end - self._start
             members = self._table.sets.number(self._channels)
-            row = Row(self._start, length, self._end, self._first_ns, self._last_ns, RECORDS, members, length)
+            row = Row(self._start, length, self._end, self._first_ns, self._last_ns, PlaceKind.records, members, length)
             self._table.rows.append(row)
         self._first_ns, self._last_ns, self._count = 2**64 - 1, 0, 0
         self._channels = set()

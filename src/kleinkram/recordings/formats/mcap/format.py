@@ -1,21 +1,24 @@
-"""The summary of an MCAP: by its index where that holds, else by a scan."""
+"""MCAP: summary by index, scan, and messages."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.damage_report import Losses
-from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.index import read_footer, read_index
-from kleinkram.recordings.formats.mcap.records import McapFacts, McapListener, Schema
-from kleinkram.recordings.formats.mcap.scan import scan_records
+from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Gap, Part, Saved
+from kleinkram.recordings.chunk_table import ChunkTable
+from kleinkram.recordings.damage_report import Losses, Noticed
+from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.formats.mcap import chunks, records
+from kleinkram.recordings.formats.mcap.index import read_index
+from kleinkram.recordings.formats.mcap.records import ChannelRecord, McapFacts
+from kleinkram.recordings.formats.mcap.scan import Scan, scan_records
 from kleinkram.recordings.index_check import wrong_times
+from kleinkram.recordings.member import ChunkedMember, Contents, check_cost
+from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import Forward, Source, from_source
-from kleinkram.recordings.streams import open_range
+from kleinkram.recordings.sources import Forward, Source, SourceForward, from_source
 from kleinkram.recordings.timeline import Timeline
 from kleinkram.recordings.topic_statistics import (
     Measured,
@@ -30,9 +33,6 @@ from kleinkram.recordings.topic_statistics import (
     tell_readable,
 )
 
-_HEAD_WINDOW = 4096
-_NO_SCHEMA = Schema("", "")
-
 
 def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
     """Summarise a file that begins with the magic of MCAP; scan it where that is impossible, if it has at most
@@ -41,39 +41,37 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
     Raises:
         SourceError: as `Source.read`.
     """
-    footer = read_footer(source)
+    timeline, losses = Timeline(), Losses()
     problems: list[Problem] = []
-    why = "it was never closed, so it has no index"
-    if footer is not None:
-        timeline, losses = Timeline(), Losses()
-        try:
-            facts = read_index(source, footer, timeline, losses)
-        except NotIndexed as refusal:
-            why = str(refusal)
-            if refusal.is_problem:
-                problems.append(Problem(refusal.code, source.name, why))
-        else:
-            _read_header(source, facts, problems)
-            return _by_index(facts, timeline, losses, problems)
+    try:
+        facts = read_index(source, (timeline, losses))
+    except NotIndexed as refusal:
+        why = str(refusal)
+        if refusal.is_problem:
+            problems.append(Problem(refusal.code, source.name, why))
+    else:
+        return _by_index(facts, timeline, losses)
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.mcap, source.size_bytes, why, problems)
     return scan_mcap(from_source(source), problems)
 
 
-def scan_mcap(
-    forward: Forward, problems: Sequence[Problem] = (), listener: McapListener | None = None
-) -> RecordingSummary:
-    """Read all of a file that begins with the magic of MCAP. `problems`: found before. `listener`: as `scan_records`.
+def scan_mcap(forward: Forward, problems: Sequence[Problem] = ()) -> RecordingSummary:
+    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scan = scan_records(forward, listener)
+    return summarise_scan(scan_records(forward), forward.name, problems)
+
+
+def summarise_scan(scan: Scan, name: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
+    """Return the summary of a file that was scanned. `problems`: found before."""
     found = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.tally.messages
     if claimed is not None and claimed.messages != messages and not found:
         message = f"the statistics say {counted(claimed.messages, 'message')}, the file holds {messages}"
-        found.append(Problem("counts-disagree", forward.name, message))
+        found.append(Problem("counts-disagree", name, message))
     if not scan.losses.damage:
         found += _wrong_statistics(scan.facts, scan.tally.timeline)
     found += scan.facts.index_faults.problems()
@@ -83,12 +81,13 @@ def scan_mcap(
     return replace(summary, depth=Depth.scan)
 
 
-def _by_index(facts: McapFacts, timeline: Timeline, losses: Losses, problems: list[Problem]) -> RecordingSummary:
-    found = [*problems, *losses.problems(), *facts.index_faults.problems()]
+def _by_index(facts: McapFacts, timeline: Timeline, losses: Losses) -> RecordingSummary:
+    damage = facts.header_damage
+    found = [Problem("header-damaged", damage.where, damage.message)] if damage is not None else []
+    found += [*losses.problems(), *facts.index_faults.problems()]
     if not losses.damage:
         found += _wrong_statistics(facts, timeline)
-    summary = _summary(facts, timeline, found)
-    return _judged(summary, facts, losses, closed=True)
+    return _judged(_summary(facts, timeline, found), facts, losses, closed=True)
 
 
 def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
@@ -128,19 +127,6 @@ def _judged(summary: RecordingSummary, facts: McapFacts, losses: Losses, *, clos
     return replace(summary, content=content, reason=reason, lost=lost)
 
 
-def _read_header(source: Source, facts: McapFacts, problems: list[Problem]) -> None:
-    start = len(records.MAGIC)
-    stream = open_range(source, start, source.size_bytes, window=_HEAD_WINDOW)
-    try:
-        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode == records.HEADER:
-            records.read_header(facts, stream.take(length), f"byte {start}")
-        else:
-            problems.append(Problem("header-damaged", f"byte {start}", "the first record is not a header"))
-    except Malformed as error:
-        problems.append(Problem("header-damaged", error.where, error.message))
-
-
 def _content(losses: Losses, *, closed: bool, holds_anything: bool) -> Content:
     if closed and not losses.damage:
         return Content.indexed
@@ -164,9 +150,7 @@ def _summary(facts: McapFacts, timeline: Timeline, problems: list[Problem]) -> R
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     measured: Measured = measure(timeline, _topic_types(facts))
-    named = [
-        (one.topic, facts.schemas.get(one.schema_id, _NO_SCHEMA).name, one.publisher) for one in facts.channels.values()
-    ]
+    named = [(one.topic, facts.schema_of(one).name, one.publisher) for one in facts.channels.values()]
     return RecordingSummary(
         format=RecordingFormat.mcap,
         content=Content.indexed,
@@ -187,9 +171,61 @@ def _summary(facts: McapFacts, timeline: Timeline, problems: list[Problem]) -> R
 def _topic_types(facts: McapFacts) -> Mapping[str, list[TopicType]]:
     types: dict[str, list[TopicType]] = {}
     for channel in facts.channels.values():
-        schema = facts.schemas.get(channel.schema_id)
-        kind = TopicType(schema.name if schema else "", schema.encoding if schema else "", channel.message_encoding)
+        schema = facts.schema_of(channel)
+        kind = TopicType(schema.name, schema.encoding, channel.message_encoding)
         known = types.setdefault(channel.topic, [])
         if kind not in known:
             known.append(kind)
     return types
+
+
+def open_mcap(
+    source: Source, noticed: Noticed, *, message_compression: str = "", most_bytes: int | None = None
+) -> ChunkedMember:
+    """Open an MCAP by its index; one without is scanned once, and what is broken in it is noted.
+
+    Raises:
+        TooCostly: it would have to be read whole, and has more than `most_bytes`.
+        SourceError: as `Source.read`.
+    """
+    try:
+        facts = read_index(source)
+    except NotIndexed as refusal:
+        check_cost(source, most_bytes, str(refusal))
+        if refusal.is_problem or refusal.code == "no-footer":
+            noticed.add(refusal.code, source.name, str(refusal))
+        return _open_scanned(source, noticed, message_compression)
+    channels = facts.resolve_channels(message_compression)
+    statistics = facts.statistics
+    if statistics is None or facts.unknown_compression:
+        # The statistics also count messages that cannot be read.
+        contents = Contents(channels, None, None, *facts.table.span(without=facts.unknown_compression.keys()))
+        return ChunkedMember(source, MCAP, facts.table, contents, noticed, with_index_check=True)
+    by_channel = dict(statistics.counts)
+    counts = by_channel if sum(by_channel.values()) == statistics.messages else None
+    span = (statistics.start_ns, statistics.end_ns) if statistics.messages else (None, None)
+    contents = Contents(channels, counts, statistics.messages, *span)
+    return ChunkedMember(source, MCAP, facts.table, contents, noticed, with_index_check=True, claimed_span=span)
+
+
+def _open_scanned(source: Source, noticed: Noticed, message_compression: str) -> ChunkedMember:
+    builder = ChunkTableBuilder(ChunkTable(), noticed)
+    scan = scan_records(SourceForward(source), builder)
+    builder.close()
+    channels = scan.facts.resolve_channels(message_compression)
+    counts = {number: count for number, count in builder.counts.items() if number in channels}
+    span = builder.table.span() if counts else (None, None)
+    contents = Contents(channels, counts, sum(counts.values()), *span)
+    return ChunkedMember(source, MCAP, builder.table, contents, noticed, summary=summarise_scan(scan, source.name))
+
+
+def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
+    part = Part(source, records.MAGIC, gaps)
+    builder = ChunkTableBuilder(ChunkTable(), Noticed())
+    known = {number: ChannelRecord(0, channel.topic, channel.message_encoding) for number, channel in channels.items()}
+    scan_records(SourceForward(part), builder, known)
+    builder.close()
+    return Saved(part, builder.table)
+
+
+MCAP = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)

@@ -1,122 +1,154 @@
-"""The summary of an MCAP from its own index: footer, summary section, and the message indexes behind each chunk.
+"""The index of an MCAP: footer, summary section, and on request the message indexes behind each chunk.
 
-Reads no chunk and decompresses nothing; costs the index bytes of the file and at most 1 MB more. Where the index
-cannot be used, or does not add up, it raises `NotIndexed`, and the file is scanned (`mcap_scan`).
+Reads no chunk and decompresses nothing. Where the index cannot be used, or does not add up, `read_index` raises
+`NotIndexed`, and the file must be scanned.
 """
 
 from __future__ import annotations
 
+import heapq
 import zlib
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 
-from kleinkram.recordings.chunk_table import UNKNOWN, smallest_to_come
-from kleinkram.recordings.compression import is_known_compression, unreadable_chunk
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, Row, smallest_to_come
+from kleinkram.recordings.compression import is_known_compression, unknown_compression, unreadable_chunk
 from kleinkram.recordings.damage_report import Losses
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import ChunkPlace, McapFacts
+from kleinkram.recordings.formats.mcap.records import McapFacts
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
 from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, wrong_compression
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, TAIL, WINDOW
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, TAIL, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
+_HEAD_BYTES = 4096
 _CHUNK_HEAD_BYTES = 4096
-_HEAD_OF_DEFINITION = 3 * 4096 + 16
-_MOST_RECORDS_WALKED = 10_000
+_MAX_RECORDS_WALKED = 1_000
 _READERS = {
     records.CHUNK_INDEX: records.read_chunk_index,
     records.STATISTICS: records.read_statistics,
     records.ATTACHMENT_INDEX: records.read_attachment_index,
     records.METADATA_INDEX: records.read_metadata_index,
-}
-_DEFINITIONS = {
     records.SCHEMA: records.read_schema,
     records.CHANNEL: records.read_channel,
 }
 
 
-@dataclass(frozen=True)
-class Footer:
-    """The end of an MCAP: where the summary section begins (0: there is none), and its CRC-32 (0: not kept)."""
+def read_index(source: Source, times: tuple[Timeline, Losses] | None = None) -> McapFacts:
+    """Return what the summary section says of an MCAP.
 
-    start: int
-    summary_start: int
-    summary_crc: int
-
-
-def read_footer(source: Source) -> Footer | None:
-    """Return the footer; None if the file does not end in one."""
-    size = source.size_bytes
-    if size < 2 * len(records.MAGIC) + records.FOOTER_BYTES:
-        return None
-    tail = source.read(size - records.FOOTER_BYTES, records.FOOTER_BYTES)
-    opcode, length = records.RECORD_HEAD.unpack_from(tail)
-    if opcode != records.FOOTER or length != records.FOOTER_BODY.size or not tail.endswith(records.MAGIC):
-        return None
-    summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, records.RECORD_HEAD.size)
-    return Footer(size - records.FOOTER_BYTES, summary_start, crc)
-
-
-def read_index(source: Source, footer: Footer, timeline: Timeline, losses: Losses) -> McapFacts:
-    """Fill the timeline from the file's own index, and return what else it says.
-
-    `losses` counts the chunks whose compression, as the index says, is not one that is read.
+    Args:
+        source: the file.
+        times: where the messages of all message indexes are counted, and the chunks that cannot be read. None: no
+            message index is read.
 
     Raises:
         NotIndexed: there is no index, or it cannot be true.
         SourceError: as `Source.read`.
     """
+    known = _KnownEnds(source)
     facts = McapFacts()
     try:
-        _read_summary_section(source, footer, facts)
+        summary_start = _read_summary_section(known, facts)
+        _read_header(known, facts)
         _check_definitions(facts)
-        _check_places(facts, footer)
-        _read_message_indexes(source, facts, timeline, losses)
-        if facts.statistics is None:
-            _refuse_messages_outside_chunks(source, facts, footer)
+        _check_places(facts, summary_start)
+        _check_compressions(source, facts)
+        if times is not None:
+            _read_message_indexes(source, facts, *times)
+        if times is None or facts.statistics is None:
+            _check_space_between_chunks(known, facts, summary_start)
     except Malformed as error:
         raise NotIndexed("index-damaged", f"the index cannot be used: {error}", is_problem=True) from error
-    _compare_with_statistics(facts, timeline, losses)
+    if times is None:
+        _check_table(facts)
+    else:
+        _compare_with_statistics(facts, *times)
     return facts
 
 
-def _read_summary_section(source: Source, footer: Footer, facts: McapFacts) -> None:
-    if footer.summary_start == 0:
+class _KnownEnds:
+    """A source whose first and last bytes are read at most once."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.tail_start = max(0, source.size_bytes - TAIL)
+        self.tail = source.read(self.tail_start, source.size_bytes - self.tail_start)
+        self._head = b""
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return up to `length` bytes; fewer at the end of the file."""
+        if offset >= self.tail_start:
+            return self.tail[offset - self.tail_start :][:length]
+        if offset + length > _HEAD_BYTES:
+            return self.source.read(offset, min(length, self.source.size_bytes - offset))
+        if not self._head:
+            self._head = self.source.read(0, min(_HEAD_BYTES, self.source.size_bytes))
+        return self._head[offset : offset + length]
+
+
+def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
+    """Read all records between the data section and the footer; return where they begin."""
+    tail, tail_start = known.tail, known.tail_start
+    footer_at = len(tail) - records.FOOTER_BYTES
+    if footer_at < len(records.MAGIC) or not tail.endswith(records.MAGIC):
+        raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
+    opcode, length = records.RECORD_HEAD.unpack_from(tail, footer_at)
+    if opcode != records.FOOTER or length != records.FOOTER_BODY.size:
+        raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
+    summary_start: int
+    summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, footer_at + records.RECORD_HEAD.size)
+    footer_start = tail_start + footer_at
+    if summary_start == 0:
         raise NotIndexed("no-summary", "the file has no summary section", is_problem=False)
-    if not len(records.MAGIC) < footer.summary_start <= footer.start:
-        raise Malformed(f"byte {footer.start}", f"the summary is said to begin at byte {footer.summary_start}")
-    length = footer.start - footer.summary_start
-    if length <= TAIL:
-        stream = open_bytes(source.read(footer.summary_start, length), footer.summary_start)
+    if not len(records.MAGIC) < summary_start <= footer_start:
+        raise Malformed(f"byte {footer_start}", f"the summary is said to begin at byte {summary_start}")
+    if summary_start >= tail_start:
+        stream = open_bytes(tail[summary_start - tail_start : footer_at], summary_start)
     else:
-        stream = open_range(source, footer.summary_start, footer.start)
-    if footer.summary_crc:
+        stream = open_range(known.source, summary_start, footer_start)
+    if crc:
         stream.start_crc()
     while not stream.at_end():
         _read_summary_record(stream, facts)
-    if footer.summary_crc:
-        rest = source.read(footer.start, records.RECORD_HEAD.size + records.FOOTER_BODY.size - 4)
-        if zlib.crc32(rest, stream.crc) != footer.summary_crc:
-            raise Malformed(f"byte {footer.summary_start}", "the checksum of the summary section is wrong")
+    footer_without_crc = tail[footer_at : footer_at + records.RECORD_HEAD.size + records.FOOTER_BODY.size - 4]
+    if crc and zlib.crc32(footer_without_crc, stream.crc) != crc:
+        raise Malformed(f"byte {summary_start}", "the checksum of the summary section is wrong")
+    return summary_start
 
 
 def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
     where = f"byte {stream.position}"
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode in _READERS:
+    if opcode in (records.SCHEMA, records.CHANNEL):
+        body = stream.take(min(length, MAX_TAKE))
+        _READERS[opcode](facts, body, where)
+        stream.skip(length - len(body))
+    elif opcode in _READERS:
         _READERS[opcode](facts, stream.take(length), where)
-        return
-    if opcode in _DEFINITIONS:
-        head = stream.take(min(length, _HEAD_OF_DEFINITION))
-        _DEFINITIONS[opcode](facts, head, where)
-        length -= len(head)
-    stream.skip(length)
+    else:
+        stream.skip(length)
+
+
+def _read_header(known: _KnownEnds, facts: McapFacts) -> None:
+    """Note profile and library; a damaged header leaves the index as it is."""
+    start = len(records.MAGIC)
+    stream = open_bytes(known.read(start, _HEAD_BYTES - start), start)
+    try:
+        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+        if opcode != records.HEADER:
+            facts.header_damage = Malformed(f"byte {start}", "the first record is not a header")
+            return
+        if length > _HEAD_BYTES - start - records.RECORD_HEAD.size:
+            stream = open_range(known.source, stream.position, known.source.size_bytes, window=2 * _HEAD_BYTES)
+        records.read_header(facts, stream.take(length), f"byte {start}")
+    except Malformed as error:
+        facts.header_damage = error
 
 
 def _check_definitions(facts: McapFacts) -> None:
@@ -127,51 +159,38 @@ def _check_definitions(facts: McapFacts) -> None:
             raise NotIndexed("no-channels", "the summary does not list all channels", is_problem=False)
     if any(c.schema_id and c.schema_id not in facts.schemas for c in facts.channels.values()):
         raise NotIndexed("no-schemas", "the summary does not list all schemas", is_problem=False)
-    if len(facts.chunks) == 0 and (statistics is None or statistics.messages):
+    if len(facts.table.rows) == 0 and (statistics is None or statistics.messages):
         raise NotIndexed("no-chunk-index", "the file has no chunk index", is_problem=False)
 
 
-def _check_places(facts: McapFacts, footer: Footer) -> None:
-    facts.chunks.sort()
+def _check_places(facts: McapFacts, summary_start: int) -> None:
+    facts.table.rows.sort()
     end = len(records.MAGIC)
-    for place in facts.chunks:
-        if place.start < end:
-            raise Malformed(f"byte {place.start}", "the chunk index lists chunks that overlap")
-        if place.end > footer.summary_start:
-            raise Malformed(f"byte {place.start}", "the chunk index points behind the data")
-        if place.end - place.index_start > MAX_CHUNK_INDEX:
-            raise Malformed(f"byte {place.start}", "the index of a chunk is too large to be read", certain=False)
-        end = place.end
+    for row in facts.table.rows:
+        if row.start < end or row.length < records.RECORD_HEAD.size:
+            raise Malformed(f"byte {row.start}", "the chunk index lists chunks that overlap")
+        if row.end > summary_start:
+            raise Malformed(f"byte {row.start}", "the chunk index points behind the data")
+        end = row.end
 
 
-def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
-    for channel in facts.channels.values():
-        timeline.topic(channel.topic)
-    watermarks = smallest_to_come(facts.chunks.column(ChunkPlace._fields.index("first_ns")))
-    for place, stream, before_ns in zip(facts.chunks, _index_streams(source, facts), watermarks, strict=True):
-        entries, found = _read_chunk_entries(stream, facts)
-        claim = ChunkClaim(place.start, place.index_start, place.first_ns, place.last_ns, place.channels, UNKNOWN)
-        facts.index_faults.compare(claim, facts.sets.listed(place.channels), found)
-        compression = named = facts.unknown_compression.get(place.start, "")
-        if named:
-            compression = read_compression(source, place.start, place.end) or named
-            if is_known_compression(compression):
-                facts.index_faults.note(place.start, wrong_compression(named))
-        stored, uncompressed = place.index_start - place.start, place.uncompressed_bytes
-        if why := unreadable_chunk(compression, stored=stored, uncompressed=uncompressed):
-            losses.leave_chunk(place.start, stored, sum(len(entry.stamps) for entry in entries), why)
+def _check_compressions(source: Source, facts: McapFacts) -> None:
+    """Keep of the unknown compressions those that the chunks themselves name, too."""
+    for row in facts.table.rows if facts.unknown_compression else ():
+        named = facts.unknown_compression.get(row.start)
+        if named is None:
+            continue
+        compression = _read_compression(source, row) or named
+        if is_known_compression(compression):
+            facts.index_faults.note(row.start, wrong_compression(named))
+            del facts.unknown_compression[row.start]
         else:
-            timeline.add_chunk(entries, uncompressed_bytes=uncompressed, stored_bytes=place.compressed_bytes)
-        timeline.settle(before_ns)
+            facts.unknown_compression[row.start] = compression
 
 
-def read_compression(source: Source, start: int, end: int) -> str | None:
-    """Return what a chunk itself says of its compression; None where no chunk stands in [start, end).
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
-    stream = open_range(source, start, end, window=_CHUNK_HEAD_BYTES)
+def _read_compression(source: Source, row: Row) -> str | None:
+    """Return the compression that the head of a chunk names; None where no chunk stands."""
+    stream = open_range(source, row.start, row.end, window=_CHUNK_HEAD_BYTES)
     try:
         opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         name_length = CHUNK_FIXED.unpack(stream.take(CHUNK_FIXED.size))[-1]
@@ -182,15 +201,38 @@ def read_compression(source: Source, start: int, end: int) -> str | None:
     return None
 
 
+def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
+    rows = facts.table.rows
+    for row in rows:
+        if row.end - row.start - row.length > MAX_CHUNK_INDEX:
+            raise Malformed(f"byte {row.start}", "the index of a chunk is too large to be read", certain=False)
+    for channel in facts.channels.values():
+        timeline.topic(channel.topic)
+    watermarks = smallest_to_come(rows.column(Row._fields.index("first_ns")))
+    for row, stream, before_ns in zip(rows, _index_streams(source, facts), watermarks, strict=True):
+        entries, found = _read_chunk_entries(stream, facts)
+        claim = ChunkClaim(row.start, row.start + row.length, row.first_ns, row.last_ns, row.channels, UNKNOWN)
+        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), found)
+        why = unreadable_chunk("", stored=row.length, uncompressed=row.uncompressed_bytes)
+        if named := facts.unknown_compression.get(row.start):
+            why = unknown_compression(named)
+        if why is not None:
+            losses.leave_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
+        else:
+            timeline.add_chunk(entries, uncompressed_bytes=row.uncompressed_bytes, stored_bytes=row.stored_bytes)
+        timeline.settle(before_ns)
+
+
 def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
     """Yield the message indexes of each chunk; over a network, those of the next few are fetched meanwhile."""
-    if any(place.end - place.index_start > WINDOW for place in facts.chunks):
-        for place in facts.chunks:
-            yield open_range(source, place.index_start, place.end)
+    rows = facts.table.rows
+    if any(row.end - row.start - row.length > WINDOW for row in rows):
+        for row in rows:
+            yield open_range(source, row.start + row.length, row.end)
         return
-    ranges = ((place.index_start, place.end - place.index_start) for place in facts.chunks)
-    for place, data in zip(facts.chunks, read_short_ranges(source, ranges), strict=True):
-        yield open_bytes(data, place.index_start)
+    ranges = ((row.start + row.length, row.end - row.start - row.length) for row in rows)
+    for row, data in zip(rows, read_short_ranges(source, ranges), strict=True):
+        yield open_bytes(data, row.start + row.length)
 
 
 def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[ChunkEntries], FoundMessages]:
@@ -217,7 +259,7 @@ def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losse
     """Refuse an index that does not account for all messages, or that a chunk is missing from."""
     found = sum(times.count for times in timeline.topics.values()) + losses.messages
     if facts.statistics is None:
-        if any(place.uncompressed_bytes and place.index_start == place.end for place in facts.chunks):
+        if any(row.uncompressed_bytes and row.start + row.length == row.end for row in facts.table.rows):
             raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
     elif found == 0 and facts.statistics.messages:
         raise NotIndexed("no-message-index", "the file has no message index", is_problem=False)
@@ -227,15 +269,28 @@ def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losse
         raise NotIndexed("counts-disagree", message, is_problem=True)
 
 
-def _refuse_messages_outside_chunks(source: Source, facts: McapFacts, footer: Footer) -> None:
-    """Without statistics, walk over what no chunk covers: messages may stand there, which no index lists."""
-    position = len(records.MAGIC)
-    left = _MOST_RECORDS_WALKED
-    for start, end in chain(((p.start, p.end) for p in facts.chunks), [(footer.summary_start, footer.start)]):
+def _check_table(facts: McapFacts) -> None:
+    """Refuse a chunk index that leaves out chunks or channels; without message indexes, no count would show it."""
+    rows, statistics = facts.table.rows, facts.statistics
+    if statistics is not None and len(rows) != statistics.chunks:
+        message = f"the statistics say {counted(statistics.chunks, 'chunk')}, the index lists {len(rows)}"
+        raise NotIndexed("counts-disagree", message, is_problem=True)
+    if statistics is None and ANY_CHANNEL in rows.column(Row._fields.index("channels")):
+        raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
+    if not facts.table.known_channels() <= facts.channels.keys():
+        raise NotIndexed("no-channels", "the summary does not list all channels", is_problem=False)
+
+
+def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_start: int) -> None:
+    """Walk over the records that no index covers: messages or chunks among them are missing from the index."""
+    position, left = len(records.MAGIC), _MAX_RECORDS_WALKED
+    covered = ((row.start, row.end) for row in facts.table.rows)
+    for start, end in chain(heapq.merge(covered, sorted(facts.outside_chunks)), [(summary_start, summary_start)]):
         while position < start:
-            opcode, length = records.RECORD_HEAD.unpack(source.read(position, records.RECORD_HEAD.size))
+            head = open_bytes(known.read(position, records.RECORD_HEAD.size), position)
+            opcode, length = records.RECORD_HEAD.unpack(head.take(records.RECORD_HEAD.size))
             left -= 1
             if opcode in (records.MESSAGE, records.CHUNK) or left == 0:
-                raise NotIndexed("no-statistics", "the index does not list all messages", is_problem=False)
+                raise NotIndexed("no-chunk-index", "the index does not list all messages", is_problem=False)
             position += records.RECORD_HEAD.size + length
-        position = end
+        position = max(position, end)

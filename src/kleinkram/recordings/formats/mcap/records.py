@@ -9,14 +9,15 @@ import struct
 import sys
 from array import array
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChannelSets, PackedTable
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkTable, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.index_check import IndexFaults
-from kleinkram.recordings.limits import MAX_DAMAGE, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.message_counts import Listener
+from kleinkram.recordings.limits import MAX_DAMAGE, MAX_DEFINITIONS, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.message_counts import MessageObserver, PlaceKind
+from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -25,6 +26,9 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
+MAX_OUTSIDE_CHUNKS = 200_000
+"""Attachments and metadata records that an index may list."""
+
 PLACEHOLDER = 2**64 - 1
 """What stands for the length of a record or of data while it is being written (mcap-rs): a recorder that was killed
 leaves it."""
@@ -34,15 +38,8 @@ _CHANNEL_AND_U64 = struct.Struct("<HQ")
 _ATTACHMENT_PLACE = struct.Struct("<QQQQQ")
 
 
-class Schema(NamedTuple):
-    """A message type, without its text."""
-
-    name: str
-    encoding: str
-
-
-class Channel(NamedTuple):
-    """A topic as one publisher writes it."""
+class ChannelRecord(NamedTuple):
+    """A channel. `publisher`: its ROS 1 node, by the metadata that a conversion leaves; empty where unknown."""
 
     schema_id: int
     topic: str
@@ -51,65 +48,61 @@ class Channel(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """What the writer counted."""
+    """What the writer counted. `counts`: messages by channel id."""
 
     messages: int
     channels: int
     attachments: int
     metadata_records: int
+    chunks: int
     start_ns: int
     end_ns: int
     counts: tuple[tuple[int, int], ...]
 
 
-class ChunkPlace(NamedTuple):
-    """A chunk and its message indexes in the file: [start, index_start) and [index_start, end).
-
-    `channels`: number of the set of those that the index lists.
-    """
-
-    start: int
-    index_start: int
-    end: int
-    first_ns: int
-    last_ns: int
-    channels: int
-    compressed_bytes: int
-    uncompressed_bytes: int
-
-
-class McapListener(Listener, Protocol):
-    """Is told of definitions, too."""
-
-    def define(self, opcode: int, body: bytes, where: str, /) -> None:
-        """Take note of a schema or a channel."""
+NO_SCHEMA = Schema("", "", b"")
 
 
 @dataclass
 class McapFacts:
-    """What the records of one file said so far.
+    """What the records of one file say.
 
     Attributes:
-        listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
+        table: chunks, as the chunk index lists them.
         index_faults: what the index says of chunks that is not so.
-        unknown_compression: by the start of a chunk, a compression that its index names and that is not read.
+        unknown_compression: by the start of a chunk, a compression that is not read.
+        outside_chunks: where attachments and metadata records stand, [start, end), by their indexes.
+        observer: receives the places of messages.
     """
 
     library: str = ""
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
     statistics: Statistics | None = None
-    sets: ChannelSets = field(default_factory=ChannelSets)
-    chunks: PackedTable[ChunkPlace] = field(default_factory=lambda: PackedTable(ChunkPlace, len(ChunkPlace._fields)))
+    table: ChunkTable = field(default_factory=ChunkTable)
     names_bytes: int = 0
+    definition_bytes: int = 0
     compression: set[str] = field(default_factory=set)
     index_faults: IndexFaults = field(default_factory=IndexFaults)
     unknown_compression: dict[int, str] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
-    listener: McapListener | None = None
+    outside_chunks: list[tuple[int, int]] = field(default_factory=list)
+    header_damage: Malformed | None = None
+    observer: MessageObserver | None = None
+
+    def schema_of(self, channel: ChannelRecord) -> Schema:
+        """Return the schema of a channel; an empty one where the file lacks it."""
+        return self.schemas.get(channel.schema_id, NO_SCHEMA)
+
+    def resolve_channels(self, message_compression: str = "") -> dict[int, Channel]:
+        """Return the channels with their schemas."""
+        return {
+            number: Channel(one.topic, one.message_encoding, self.schema_of(one), message_compression)
+            for number, one in self.channels.items()
+        }
 
 
 class BodyReader:
@@ -175,25 +168,33 @@ def read_header(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a schema; the first of an id counts. The body may be cut behind the encoding."""
+    """Note a schema; the first of an id counts. The body may be cut behind the encoding; its text is then left out."""
     reader = BodyReader(body, where)
     (schema_id,) = reader.fields(_U16)
-    schema = Schema(reader.text(), reader.text())
-    if schema_id not in facts.schemas:
-        _count_names(facts, where, *schema)
-        facts.schemas[schema_id] = schema
+    name, encoding = reader.text(), reader.text()
+    if schema_id in facts.schemas:
+        return
+    _count_names(facts, where, name, encoding)
+    try:
+        text = reader.counted()
+    except Malformed:
+        text = b""
+    facts.definition_bytes += len(text)
+    facts.schemas[schema_id] = Schema(name, encoding, text if facts.definition_bytes <= MAX_DEFINITIONS else b"")
 
 
 def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a channel; the first of an id counts. The body may be cut behind the encoding."""
     reader = BodyReader(body, where)
     channel_id, schema_id = reader.fields(_PAIR_U16)
-    channel = Channel(schema_id, reader.text(), reader.text(), _publisher(reader))
-    if channel_id not in facts.channels:
-        if len(facts.channels) >= MAX_TOPICS:
-            raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
-        _count_names(facts, where, channel.topic, channel.message_encoding, channel.publisher)
-        facts.channels[channel_id] = channel
+    topic, message_encoding = reader.text(), reader.text()
+    if channel_id in facts.channels:
+        return
+    channel = ChannelRecord(schema_id, topic, message_encoding, _publisher(reader))
+    if len(facts.channels) >= MAX_TOPICS:
+        raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
+    _count_names(facts, where, channel.topic, channel.message_encoding, channel.publisher)
+    facts.channels[channel_id] = channel
 
 
 def _publisher(reader: BodyReader) -> str:
@@ -218,12 +219,12 @@ def _count_names(facts: McapFacts, where: str, *names: str) -> None:
 def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
     """Note the statistics."""
     reader = BodyReader(body, where)
-    messages, _schemas, channels, attachments, metadata, _chunks, *span = reader.fields(STATISTICS_BODY)
+    messages, _schemas, channels, attachments, metadata, chunks, *span = reader.fields(STATISTICS_BODY)
     counts = reader.counted()
     if len(counts) % _CHANNEL_AND_U64.size:
         raise Malformed(where, "statistics that end within an entry")
     by_channel = tuple((number, count) for number, count in _CHANNEL_AND_U64.iter_unpack(counts))
-    facts.statistics = Statistics(messages, channels, attachments, metadata, span[0], span[1], by_channel)
+    facts.statistics = Statistics(messages, channels, attachments, metadata, chunks, span[0], span[1], by_channel)
 
 
 def read_attachment(facts: McapFacts, body: bytes, where: str) -> None:
@@ -237,7 +238,8 @@ def read_attachment(facts: McapFacts, body: bytes, where: str) -> None:
 def read_attachment_index(facts: McapFacts, body: bytes, where: str) -> None:
     """Note an attachment, by its index."""
     reader = BodyReader(body, where)
-    size_bytes = reader.fields(_ATTACHMENT_PLACE)[4]
+    start, length, _log_time, _create_time, size_bytes = reader.fields(_ATTACHMENT_PLACE)
+    _note_outside_chunks(facts, start, start + length, where)
     _note_attachment(facts, reader.text(), reader.text(), size_bytes)
 
 
@@ -255,8 +257,15 @@ def read_metadata(facts: McapFacts, body: bytes, where: str) -> None:
 def read_metadata_index(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a metadata record, by its index."""
     reader = BodyReader(body, where)
-    reader.fields(_PAIR_U64)
+    start, length = reader.fields(_PAIR_U64)
+    _note_outside_chunks(facts, start, start + length, where)
     _note_metadata(facts, reader.text())
+
+
+def _note_outside_chunks(facts: McapFacts, start: int, end: int, where: str) -> None:
+    if len(facts.outside_chunks) >= MAX_OUTSIDE_CHUNKS:
+        raise Malformed(where, f"more than {MAX_OUTSIDE_CHUNKS} attachments and metadata", certain=False)
+    facts.outside_chunks.append((start, end))
 
 
 def _note_metadata(facts: McapFacts, name: str) -> None:
@@ -273,7 +282,7 @@ def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
     if len(offsets) % _CHANNEL_AND_U64.size:
         raise Malformed(where, "a chunk index that ends within an entry")
     channel_ids = [number for number, _ in _CHANNEL_AND_U64.iter_unpack(offsets)]
-    channels = facts.sets.number(channel_ids) if channel_ids else ANY_CHANNEL
+    channels = facts.table.sets.number(channel_ids) if channel_ids else ANY_CHANNEL
     (index_length,) = reader.fields(_U64)
     compression = reader.text()
     facts.compression.add(compression or "none")
@@ -281,10 +290,9 @@ def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
         if len(facts.unknown_compression) >= MAX_DAMAGE:
             raise Malformed(where, f"more than {MAX_DAMAGE} chunks that are not read", certain=False)
         facts.unknown_compression[start] = compression
-    compressed, uncompressed = reader.fields(_PAIR_U64)
-    index_start = start + length
-    end = index_start + index_length
-    facts.chunks.append(ChunkPlace(start, index_start, end, first_ns, last_ns, channels, compressed, uncompressed))
+    stored, uncompressed = reader.fields(_PAIR_U64)
+    end = start + length + index_length
+    facts.table.rows.append(Row(start, length, end, first_ns, last_ns, PlaceKind.chunk, channels, uncompressed, stored))
 
 
 def read_message_index(body: bytes, where: str) -> tuple[int, array[int], array[int]]:

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
 from kleinkram.recordings.compression import unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import points_at_messages, walk_messages
-from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, Channel, McapFacts, McapListener
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts
 from kleinkram.recordings.formats.mcap.resync import (
     LOOK,
     fault,
@@ -34,11 +34,11 @@ from kleinkram.recordings.index_check import (
     wrong_compression,
     wrong_times,
 )
-from kleinkram.recordings.limits import MAX_CHUNK_BYTES, WINDOW
-from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, Batch, Place, Tally
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
+from kleinkram.recordings.message_counts import Batch, MessageObserver, Place, PlaceKind, Tally
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Forward
-from kleinkram.recordings.streams import Cut, Lookahead
+from kleinkram.recordings.streams import Lookahead
 
 _U32 = struct.Struct("<I")
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
@@ -69,9 +69,9 @@ class Scan:
 
 
 class _Scanner:
-    def __init__(self, forward: Forward, listener: McapListener | None) -> None:
+    def __init__(self, forward: Forward, observer: MessageObserver | None) -> None:
         self.scan = Scan()
-        self.scan.facts.listener = listener
+        self.scan.facts.observer = observer
         self._stream = Lookahead(forward)
         self._loose = LooseMessages(self._stream, self.scan.facts, self.scan.tally)
         self._listed: ListedChunk | None = None
@@ -111,9 +111,9 @@ class _Scanner:
     def _compare_index(self) -> None:
         """Compare the chunk index, if the file has one, with the chunks that were found."""
         facts, losses, claims = self.scan.facts, self.scan.losses, new_table()
-        for place in facts.chunks:
+        for place in facts.table.rows:
             times = place.first_ns, place.last_ns
-            claims.append(ChunkClaim(place.start, place.index_start, *times, place.channels, UNKNOWN))
+            claims.append(ChunkClaim(place.start, place.start + place.length, *times, place.channels, UNKNOWN))
         if not len(claims):
             return
         for chunk in self._found if facts.unknown_compression else ():
@@ -121,7 +121,7 @@ class _Scanner:
             if named is not None and chunk.messages != UNKNOWN:
                 facts.index_faults.note(chunk.start, wrong_compression(named))
         is_damaged = bool(losses.damage)
-        compare_with_scan(claims, self._found, facts.sets, facts.index_faults, is_damaged=is_damaged)
+        compare_with_scan(claims, self._found, facts.table.sets, facts.index_faults, is_damaged=is_damaged)
 
     def _step(self) -> None:
         """Pass over some messages, over one other record, or over damage."""
@@ -180,7 +180,6 @@ class _Scanner:
             Malformed: it cannot be one; nothing was passed over.
         """
         stream, total = self._stream, RECORD_HEAD.size + length
-        body_at = stream.at + RECORD_HEAD.size
         if opcode == records.HEADER and stream.position != len(records.MAGIC):
             raise Malformed(where, "the header of a file in the middle of it")
         if opcode == records.MESSAGE_INDEX:
@@ -201,12 +200,11 @@ class _Scanner:
             self._pass(total)
         else:
             if opcode in _READERS:
-                most = chunks.HEAD_OF_DEFINITION if opcode in (records.SCHEMA, records.CHANNEL) else WINDOW
-                body = bytes(stream.window[body_at : body_at + min(length, most)])
+                at_hand = stream.ahead(RECORD_HEAD.size + min(length, MAX_TAKE))
+                body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + at_hand])
                 if length > LOOK and self.scan.losses.is_patience_spent(stream.position):
                     raise Malformed(where, "a record that nothing vouches for")
                 _READERS[opcode](self.scan.facts, body, where)
-                chunks.tell_definition(stream, self.scan.facts, opcode, where)
             self._pass(total)
 
     def _pass_chunk(self, total: int) -> None:
@@ -235,7 +233,7 @@ class _Scanner:
         if found is None:
             self._found.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
             return
-        times, channels = (found.first_ns, found.last_ns), facts.sets.number(found.channels)
+        times, channels = (found.first_ns, found.last_ns), facts.table.sets.number(found.channels)
         known = UNKNOWN if channels == ANY_CHANNEL and found.channels else found.messages
         self._found.append(ChunkClaim(start, end, *times, channels, known))
         wrong = wrong_times((head.first_ns, head.last_ns), times) if found.messages else None
@@ -260,7 +258,7 @@ class _Scanner:
         batch = Batch(scan.facts.channels)
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
         stretches = ((0, contents.walked),) if contents.fault else None
-        self._count(batch, head, Place(CHUNK, stream.position, total, head.uncompressed, stretches))
+        self._count(batch, head, Place(PlaceKind.chunk, stream.position, total, head.uncompressed, stretches))
         stream.advance(total)
         self._content = contents.raw
         found = FoundMessages()
@@ -269,7 +267,7 @@ class _Scanner:
 
     def _count(self, batch: Batch, head: chunks.ChunkHead, place: Place) -> None:
         self.scan.tally.learn(self.scan.facts.channels)
-        chunks.tell(self.scan.facts, place, batch)
+        chunks.notify(self.scan.facts, place, batch)
         self.scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
 
     def _leave_chunk(self, start: int, total: int, head: chunks.ChunkHead, damage: Malformed) -> None:
@@ -336,7 +334,7 @@ class _Scanner:
         if head.compression and not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
             return 0
         walked, _, raw = chunks.read_beginning(stored, head, scan.facts, batch)
-        place = Place(CUT, self._stream.position, head.data_start + len(stored), len(raw), ((0, walked),))
+        place = Place(PlaceKind.cut, self._stream.position, head.data_start + len(stored), len(raw), ((0, walked),))
         before = scan.tally.messages
         self._count(batch, head._replace(stored=len(stored), uncompressed=len(raw)), place)
         scan.losses.unproven += scan.tally.messages - before
@@ -403,19 +401,19 @@ class _Scanner:
 
 
 def scan_records(
-    forward: Forward, listener: McapListener | None = None, channels: Mapping[int, Channel] | None = None
+    forward: Forward, observer: MessageObserver | None = None, channels: Mapping[int, ChannelRecord] | None = None
 ) -> Scan:
-    """Read a whole file. Its content never raises. The listener is told of every message that is counted.
+    """Read a whole file. Its content never raises. The observer receives every message that is counted.
 
     Args:
         forward: the file.
-        listener: as above.
+        observer: as above.
         channels: that are known before; a part of a file may not define its own.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    scanner = _Scanner(forward, listener)
+    scanner = _Scanner(forward, observer)
     scanner.scan.facts.channels.update(channels or {})
     return scanner.run()
 
@@ -516,7 +514,7 @@ class LooseMessages:
             self.flush()
 
     def _tell(self, length: int) -> None:
-        """Tell the listener of the messages that stand in the next bytes, as many as are given."""
-        if self._facts.listener is not None and length:
-            chunks.tell(self._facts, Place(RECORDS, self._stream.position, length, length), self._batch)
+        """Pass the messages in the next `length` bytes to the observer."""
+        if self._facts.observer is not None and length:
+            chunks.notify(self._facts, Place(PlaceKind.records, self._stream.position, length, length), self._batch)
             self.flush()  # what the batch holds next stands somewhere else

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import Row, StoredChunk
 from kleinkram.recordings.compression import Buffer
@@ -20,8 +20,8 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields
 from kleinkram.recordings.index_check import FoundMessages
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch, Listener, Stretches
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
+from kleinkram.recordings.message_counts import Batch, MessageObserver, Stretches
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ForwardStream, open_range
@@ -92,25 +92,15 @@ _LONGEST_SEARCHED_HEADER = 512
 _MOST_CHECKED = 2
 
 
-class BagListener(Listener, Protocol):
-    """Is told of definitions, too."""
-
-    def define(self, fields: Fields, data: bytes, where: str, /) -> None:
-        """Take note of a connection."""
-
-
 @dataclass
 class BagFacts:
-    """What the records of a bag said so far.
-
-    Attributes:
-        listener: is told of what the facts leave out: the text of definitions, and where the messages stand.
-    """
+    """What the records of a bag said so far. `observer`: receives the places of messages."""
 
     connections: dict[int, Connection] = field(default_factory=dict)
     names_bytes: int = 0
+    definition_bytes: int = 0
     layout: MessageLayout | None = None
-    listener: BagListener | None = None
+    observer: MessageObserver | None = None
 
     def define(self, number: int, connection: Connection, where: str) -> None:
         """Note a connection; the first of a number counts."""
@@ -119,7 +109,16 @@ class BagFacts:
         self.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
         if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
-        self.connections[number] = connection
+        self.definition_bytes += len(connection.definition)
+        is_kept = self.definition_bytes <= MAX_DEFINITIONS
+        self.connections[number] = connection if is_kept else connection._replace(definition=b"")
+
+    def channels(self) -> dict[int, Channel]:
+        """Return the connections as channels."""
+        return {
+            number: Channel(one.topic, "ros1", Schema(one.message_type, "ros1msg", one.definition))
+            for number, one in self.connections.items()
+        }
 
 
 class Hole(NamedTuple):
@@ -338,22 +337,11 @@ def define(record: Record, data: bytes, facts: BagFacts, where: str) -> None:
         raise Malformed(where, f"a connection of {record.data_bytes} bytes", certain=False)
     number, connection = records.read_connection(record.fields, data, where)
     facts.define(number, connection, where)
-    if facts.listener is not None:
-        facts.listener.define(record.fields, data, where)
 
 
 MESSAGE_DATA = 0x02
 _HEAD_WINDOW = 4096
 _S = 1_000_000_000
-
-
-class StreamedRecord(NamedTuple):
-    """A record of a bag, up to its data."""
-
-    start: int
-    opcode: int
-    fields: Fields
-    data_bytes: int
 
 
 class MessageHead(NamedTuple):
@@ -471,34 +459,3 @@ def _places(raw: bytes) -> Iterator[tuple[bytes, int, int]]:
         value_at = at + 4 + len(name) + 1
         yield name, value_at, at + 4 + length - value_at
         at += 4 + length
-
-
-def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
-    """Yield the records of a stream; what the caller did not take of one's data is skipped.
-
-    Raises:
-        Malformed: no record begins where one should, or the last one is cut.
-    """
-    while not stream.at_end():
-        start = stream.position
-        fields, data_bytes = records.read_fields(stream)
-        end = stream.position + data_bytes
-        yield StreamedRecord(start, fields.opcode(), fields, data_bytes)
-        if stream.position < end:
-            stream.skip(end - stream.position)
-
-
-_MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
-"""The md5sum of a type without fields: its empty definition is no missing one."""
-
-
-def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Channel]:
-    """Return number and channel of a connection record."""
-    inner = Fields(data, where)
-    topic = fields.text("topic") or inner.text("topic", "")
-    name = inner.text("type")
-    definition = inner.blob("message_definition")
-    if not definition.strip() and inner.text("md5sum", "") == _MD5_OF_NOTHING:
-        definition = b"# no fields\n"
-    schema = Schema(name, "ros1msg", definition)
-    return fields.u32("conn"), Channel(topic, "ros1", schema)

@@ -8,10 +8,8 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ChannelSets
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
 from kleinkram.recordings.streams import ForwardStream
@@ -92,31 +90,29 @@ class Fields:
         return number
 
 
-@dataclass(frozen=True)
-class Connection:
-    """A topic as one publisher writes it."""
+_MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
+"""The md5sum of a type without fields: its empty definition is no missing one."""
+
+
+class Connection(NamedTuple):
+    """A topic as one publisher writes it. `definition`: the text of its message type."""
 
     topic: str
     message_type: str
     publisher: str = ""
+    definition: bytes = b""
 
 
 class ChunkInfo(NamedTuple):
-    """What the index says of a chunk: where it is, from when to when, and messages.
-
-    `channels`: number of the set of its connections.
-    `index_bytes`: size of the index records behind the chunk, as every known writer writes them.
-    """
+    """What the index says of a chunk. `counts`: messages by connection."""
 
     position: int
     first_ns: int
     last_ns: int
-    messages: int
-    index_bytes: int
-    channels: int
+    counts: dict[int, int]
 
 
-class ChunkHead(NamedTuple):
+class BagChunkHead(NamedTuple):
     """The header of a chunk record: `data_start` counts from the record's own start."""
 
     compression: str
@@ -143,33 +139,36 @@ def read_fields(stream: ForwardStream) -> tuple[Fields, int]:
 def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Connection]:
     """Return number and content of a connection record."""
     inner = Fields(data, where)
-    connection = Connection(fields.text("topic"), inner.text("type"), inner.text("callerid", ""))
-    return fields.u32("conn"), connection
+    topic = fields.text("topic") or inner.text("topic", "")
+    definition = inner.blob("message_definition")
+    if not definition.strip() and inner.text("md5sum", "") == _MD5_OF_NOTHING:
+        definition = b"# no fields\n"
+    return fields.u32("conn"), Connection(topic, inner.text("type"), inner.text("callerid", ""), definition)
 
 
-def read_chunk_info(fields: Fields, data: bytes, where: str, sets: ChannelSets) -> ChunkInfo:
-    """Return a chunk info record; `sets` gets its set of connections."""
-    flat = read_chunk_counts(fields, data, where)
-    counts = flat[1::2]
-    index_bytes = len(counts) * _INDEX_HEAD_BYTES + INDEX_ENTRY_BYTES * sum(counts)
-    span = fields.time_ns("start_time"), fields.time_ns("end_time")
-    return ChunkInfo(fields.u64("chunk_pos"), *span, sum(counts), index_bytes, sets.number(flat[0::2]))
-
-
-def read_chunk_counts(fields: Fields, data: bytes, where: str) -> array[int]:
-    """Return connection and count of messages, by turns, of a chunk info record."""
+def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:
+    """Return a chunk info record."""
     if len(data) != 8 * fields.u32("count"):
         raise Malformed(where, "a chunk info whose length does not fit its count")
-    return array_u32(data)
+    flat = array_u32(data)
+    counts: dict[int, int] = {}
+    for number, count in zip(flat[0::2], flat[1::2], strict=True):
+        counts[number] = counts.get(number, 0) + count
+    return ChunkInfo(fields.u64("chunk_pos"), fields.time_ns("start_time"), fields.time_ns("end_time"), counts)
 
 
-def read_chunk_head(stream: ForwardStream) -> ChunkHead:
+def index_data_bytes(connections: int, messages: int) -> int:
+    """Return the size of the index data records behind a chunk, as every known writer writes them."""
+    return connections * _INDEX_HEAD_BYTES + messages * INDEX_ENTRY_BYTES
+
+
+def read_chunk_head(stream: ForwardStream) -> BagChunkHead:
     """Read the header of a chunk record."""
     start = stream.position
     fields, data_bytes = read_fields(stream)
     if fields.opcode() != CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {fields.opcode()} where a chunk should be")
-    return ChunkHead(fields.text("compression"), fields.u32("size"), stream.position - start, data_bytes)
+    return BagChunkHead(fields.text("compression"), fields.u32("size"), stream.position - start, data_bytes)
 
 
 def read_index_data(stream: ForwardStream) -> tuple[int, list[int], array[int]]:

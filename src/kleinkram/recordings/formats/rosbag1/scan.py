@@ -13,23 +13,16 @@ from dataclasses import dataclass, field
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, PackedTable
 from kleinkram.recordings.compression import decompress, decompress_beginning, unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import ListedChunk, Losses
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
-from kleinkram.recordings.formats.rosbag1.chunks import (
-    BagFacts,
-    BagListener,
-    Record,
-    find_record,
-    parse_record,
-    read_contents,
-)
+from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, Record, find_record, parse_record, read_contents
 from kleinkram.recordings.formats.rosbag1.records import Fields
 from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults, compare_with_scan, new_table
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
-from kleinkram.recordings.message_counts import CHUNK, CUT, RECORDS, Batch, Place, Tally
+from kleinkram.recordings.message_counts import Batch, MessageObserver, Place, PlaceKind, Tally
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Forward
-from kleinkram.recordings.streams import Cut, Lookahead
+from kleinkram.recordings.streams import Lookahead
 
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
@@ -61,9 +54,9 @@ class BagScan:
 
 
 class _Scanner:
-    def __init__(self, forward: Forward, listener: BagListener | None) -> None:
+    def __init__(self, forward: Forward, observer: MessageObserver | None) -> None:
         self.scan = BagScan()
-        self.scan.facts.listener = listener
+        self.scan.facts.observer = observer
         self._stream = Lookahead(forward, with_crc=False)
         self._chunk: ListedChunk | None = None
         self._claims = Claims()
@@ -156,7 +149,7 @@ class _Scanner:
         elif record.opcode == records.MESSAGE:
             batch = Batch(self.scan.facts.connections)
             chunks.add_message(record, batch)
-            self._tell(Place(RECORDS, stream.position, total, total), batch)
+            self._tell(Place(PlaceKind.records, stream.position, total, total), batch)
             self.scan.tally.add(batch)
         elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
             self._note_index_record(record, where)
@@ -250,7 +243,7 @@ class _Scanner:
         start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         raw = decompress(compression, stored, uncompressed)
-        place = Place(CHUNK, start, total, uncompressed)
+        place = Place(PlaceKind.chunk, start, total, uncompressed)
         found, end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
         self._content = raw
         return found, total if end == len(raw) else head_bytes + end
@@ -343,7 +336,7 @@ class _Scanner:
         batch = Batch(scan.facts.connections)
         holes, _, stretches = read_contents(raw, scan.facts, batch)
         self._define()
-        self._tell(Place(CUT, self._stream.position, head_bytes + len(stored), len(raw), stretches), batch)
+        self._tell(Place(PlaceKind.cut, self._stream.position, head_bytes + len(stored), len(raw), stretches), batch)
         scan.losses.unproven += scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
         followed = len(raw) - sum(hole.end - hole.start for hole in holes)
         return head_bytes + len(stored) * followed // len(raw) if followed else 0
@@ -372,20 +365,20 @@ class _Scanner:
             self._chunk, self._content = None, b""
 
     def _tell(self, place: Place, batch: Batch) -> None:
-        if self.scan.facts.listener is not None:
-            self.scan.facts.listener.hear(place, batch)
+        if self.scan.facts.observer is not None:
+            self.scan.facts.observer.on_messages(place, batch)
 
     def _define(self) -> None:
         self.scan.tally.learn(self.scan.facts.connections)
 
 
-def scan_bag_records(forward: Forward, listener: BagListener | None = None) -> BagScan:
-    """Read a whole bag. Its content never raises. The listener is told of every message that is counted.
+def scan_bag_records(forward: Forward, observer: MessageObserver | None = None) -> BagScan:
+    """Read a whole bag. Its content never raises. The observer receives every message that is counted.
 
     Raises:
         SourceError: as `Forward.read`.
     """
-    return _Scanner(forward, listener).run()
+    return _Scanner(forward, observer).run()
 
 
 @dataclass
@@ -420,10 +413,10 @@ class Claims:
         Raises:
             Malformed: it is damaged.
         """
-        info = records.read_chunk_info(fields, data, where, self.sets)
-        times = info.first_ns, info.last_ns
-        self.listed.append(ChunkClaim(info.position, UNKNOWN, *times, info.channels, info.messages))
-        self._latest = info.messages
+        info = records.read_chunk_info(fields, data, where)
+        members, messages = self.sets.number(info.counts), sum(info.counts.values())
+        self.listed.append(ChunkClaim(info.position, UNKNOWN, info.first_ns, info.last_ns, members, messages))
+        self._latest = messages
         self.infos += 1
         self.messages += self._latest
 

@@ -19,7 +19,6 @@ from pathlib import Path
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.mcap.reading_index import MAX_DEFINITIONS
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import (
     MessageRow,
@@ -36,6 +35,7 @@ from kleinkram.recordings.formats.rosbag2.database import (
     replayed_copy,
 )
 from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery
+from kleinkram.recordings.limits import MAX_DEFINITIONS
 from kleinkram.recordings.member import Contents, Member
 from kleinkram.recordings.merge import Piece, Run, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
@@ -295,9 +295,6 @@ class DatabaseMember:
         if wanted:
             first_ns = max(selection.start_ns, self.contents.start_ns or 0)
             yield Piece(first_ns, order, lambda: Run([], 0, self._blocks(wanted, selection)))
-
-    def close(self) -> None:
-        """Do nothing: no connection outlives a pass."""
 
     def _blocks(self, wanted: dict[int, Channel], selection: Selection) -> Iterator[Block]:
         """Yield the messages by SQLite; should it stumble, those behind from what can be recovered."""

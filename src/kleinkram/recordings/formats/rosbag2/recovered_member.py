@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from kleinkram.recordings.chunk_reader import MAX_MESSAGE, ChunkedFile
+from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
+from kleinkram.recordings.formats.mcap.format import MCAP
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery
-from kleinkram.recordings.member import MCAP, ChunkedMember, Contents
+from kleinkram.recordings.member import ChunkedMember, Contents
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import FileSource
@@ -60,10 +61,8 @@ def open_recovered(
         raise SourceError(f"{name}: {error}") from error
     source = stack.enter_context(FileSource(copy))
     table = table_of_records(open_range(source, 0, source.size_bytes))
-    spans = [(row.first_ns, row.last_ns) for row in table.rows]
-    start_ns, end_ns = min((first for first, _ in spans), default=None), max((last for _, last in spans), default=None)
-    contents = Contents(channels, counts, sum(counts.values()), start_ns, end_ns)
-    return ChunkedMember(ChunkedFile(source, MCAP, table, channels, noticed), contents)
+    contents = Contents(channels, counts, sum(counts.values()), *table.span())
+    return ChunkedMember(source, MCAP, table, contents, noticed)
 
 
 def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]) -> Iterator[bytes]:
