@@ -45,12 +45,12 @@ test: setup
 	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile --timeout=240 -o faulthandler_timeout=300
 
 test-all: setup
-	@$(BIN)/python -m tests.lacking
+	@$(BIN)/python -m tests.requirements
 	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 3 --dist loadfile --timeout=300 -o faulthandler_timeout=1000
 
 soak: setup
-	@$(BIN)/python -m tests.lacking
-	@$(BIN)/python -m pytest -m soak -q --timeout=0
+	@$(BIN)/python -m tests.requirements
+	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
 check: setup
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .

@@ -8,18 +8,18 @@ from typing import Any, TypeVar
 from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
+from kleinkram.server import worker
 from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 T = TypeVar("T")
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"
@@ -37,10 +37,10 @@ def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
     return ran
 
 
-async def _hurry(site: Site) -> list[str]:
-    courtesy = Courtesy(site.database, site.settings)
+async def _hurry(context: AppContext) -> list[str]:
+    courtesy = Courtesy(context.database, context.settings)
     courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
-    return await drain(site, courtesy)
+    return await drain(context, courtesy)
 
 
 class _NoRests(Rests):
@@ -50,15 +50,15 @@ class _NoRests(Rests):
         """Note nothing."""
 
 
-async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> list[str]:
+async def drain(context: AppContext, courtesy: Courtesy, rests: Rests | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
     ran: list[str] = []
 
-    async def note(call_next: Callable[[], Awaitable[Any]], context: JobContext, _worker: Worker) -> Any:
-        ran.append(context.job.task_name)
+    async def note(call_next: Callable[[], Awaitable[Any]], job_context: JobContext, _worker: Worker) -> Any:
+        ran.append(job_context.job.task_name)
         return await call_next()
 
-    connector = PsycopgConnector(conninfo=plain_dsn(site.settings.database_url), min_size=1, max_size=4)
+    connector = PsycopgConnector(conninfo=plain_dsn(context.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
         async with app.open_async(), Readers() as readers:
             await app.run_worker_async(
@@ -68,7 +68,7 @@ async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> l
                 listen_notify=False,
                 worker_middleware=[keep_why, note],
                 additional_context={
-                    "site": site,
+                    "site": context,
                     "readers": readers,
                     "courtesy": courtesy,
                     "understanding": Understanding(readers),
@@ -78,7 +78,7 @@ async def drain(site: Site, courtesy: Courtesy, rests: Rests | None = None) -> l
     return ran
 
 
-def on_site(api: Api, work: Callable[[Site], Awaitable[T]], *, store: str | None = None) -> T:
+def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str | None = None) -> T:
     """Do something with a database and a store of its own, as a job would."""
     settings: Settings = api.app.state.settings
     if store is not None:
@@ -88,7 +88,9 @@ def on_site(api: Api, work: Callable[[Site], Awaitable[T]], *, store: str | None
         database = open_database(settings, statement_timeout_s=None)
         try:
             async with open_storage(settings) as storage:
-                return await work(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))
+                return await work(
+                    AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings)
+                )
         finally:
             await database.close()
 

@@ -9,12 +9,12 @@ from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server import db
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database, open_database
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
 
 
 async def _run(database: Database, statement: str) -> str:
@@ -24,16 +24,16 @@ async def _run(database: Database, statement: str) -> str:
 
 @pytest.mark.parametrize("state", ["40P01", "40001", "57014", "57P01", "55P03"])
 def test_what_may_be_tried_again_says_so(api: Api, state: str) -> None:
-    async def work(site: Site) -> None:
+    async def work(context: AppContext) -> None:
         with pytest.raises(DatabaseUnavailable):
-            await _run(site.database, f"DO $$ BEGIN RAISE SQLSTATE '{state}'; END $$")
+            await _run(context.database, f"DO $$ BEGIN RAISE SQLSTATE '{state}'; END $$")
 
     on_site(api, work)
 
 
 def test_a_statement_that_takes_too_long_is_ended(api: Api) -> None:
-    async def work(site: Site) -> None:
-        database = open_database(site.settings, statement_timeout_s=0.05)
+    async def work(context: AppContext) -> None:
+        database = open_database(context.settings, statement_timeout_s=0.05)
         try:
             with pytest.raises(DatabaseUnavailable):
                 await asyncio.wait_for(_run(database, "SELECT pg_sleep(20)"), 10)
@@ -45,9 +45,9 @@ def test_a_statement_that_takes_too_long_is_ended(api: Api) -> None:
 
 @pytest.mark.parametrize(("timeout_s", "shown"), [(30, "30s"), (None, "0")])
 def test_the_limit_of_a_statement_is_the_database_s_own_or_ours(api: Api, timeout_s: float | None, shown: str) -> None:
-    async def work(site: Site) -> str:
-        address = f"{site.settings.database_url}?options=-c%20lock_timeout%3D7s"
-        settings = site.settings.model_copy(update={"database_url": address})
+    async def work(context: AppContext) -> str:
+        address = f"{context.settings.database_url}?options=-c%20lock_timeout%3D7s"
+        settings = context.settings.model_copy(update={"database_url": address})
         database = open_database(settings, statement_timeout_s=timeout_s)
         try:
             return await _run(
@@ -61,29 +61,27 @@ def test_the_limit_of_a_statement_is_the_database_s_own_or_ours(api: Api, timeou
     assert on_site(api, work) == f"{shown} 7s"
 
 
-def test_a_request_for_which_no_connection_comes_free_is_told_to_try_again(
-    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_without_a_free_connection_gets_503(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(db, "_POOL_TIMEOUT_S", 0.2)
     api = start_api(database_connections=2)
     project = api.project()["id"]
     with racing(api, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", project) as send:
-        waiting = [send(api.patch, f"/projects/{project}", {"description": each}) for each in "ab"]
+        waiting = [send(api.patch, f"/projects/{project}", {"description": description}) for description in "ab"]
         answer = api.get("/projects")
     answer.refused(503, "database_unavailable")
     assert answer.headers["retry-after"]
-    assert [each.result().status for each in waiting] == [200, 200]
+    assert [description.result().status for description in waiting] == [200, 200]
 
 
-def test_a_connection_that_the_database_closed_is_not_given_out(api: Api) -> None:
+def test_closed_connections_are_replaced(api: Api) -> None:
     """It is noticed without asking: whoever comes next waits for a new connection, and hears of nothing."""
 
-    async def work(site: Site) -> None:
-        database = open_database(site.settings.model_copy(update={"database_connections": 1}))
+    async def work(context: AppContext) -> None:
+        database = open_database(context.settings.model_copy(update={"database_connections": 1}))
         try:
             mine = await _run(database, "SELECT pg_backend_pid()")
             assert await _run(database, "SELECT pg_backend_pid()") == mine
-            await _run(site.database, f"SELECT pg_terminate_backend({mine}, 5000)")
+            await _run(context.database, f"SELECT pg_terminate_backend({mine}, 5000)")
             assert await _run(database, "SELECT pg_backend_pid()") != mine
         finally:
             await database.close()
@@ -113,8 +111,8 @@ async def _raises(connection: Connection) -> None:
 def test_statements_by_themselves_begin_no_transaction(api: Api, how: Any, trouble: Any) -> None:
     """And the connection is as it was for whoever takes it next, whatever became of what it was taken for."""
 
-    async def work(site: Site) -> None:
-        database = open_database(site.settings.model_copy(update={"database_connections": 1}))
+    async def work(context: AppContext) -> None:
+        database = open_database(context.settings.model_copy(update={"database_connections": 1}))
         try:
             if trouble is not None:
                 with pytest.raises((DBAPIError, asyncio.TimeoutError, ValueError)):
@@ -134,9 +132,9 @@ def test_statements_by_themselves_begin_no_transaction(api: Api, how: Any, troub
 
 
 def test_what_is_read_by_itself_may_be_tried_again_too(api: Api) -> None:
-    async def work(site: Site) -> None:
+    async def work(context: AppContext) -> None:
         with pytest.raises(DatabaseUnavailable):
-            async with site.database.autocommit() as connection:
+            async with context.database.autocommit() as connection:
                 await connection.execute(text("DO $$ BEGIN RAISE SQLSTATE '57P01'; END $$"))
 
     on_site(api, work)

@@ -11,11 +11,11 @@ from urllib.parse import urlsplit
 import psycopg
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
-from tests.stack import RunningPostgres
+from tests.integration.upload_client import wait_until
+from tests.services import RunningPostgres
 
 pytestmark = pytest.mark.slow
 _CONNECTIONS = 3
@@ -121,9 +121,9 @@ def test_a_read_whose_connection_is_cut_is_made_once_more(small: Watched) -> Non
     with racing(api, "LOCK TABLE mission IN ACCESS EXCLUSIVE MODE") as send:
         change = send(api.post, f"/projects/{project}/missions", {"name": "m"})
         small.cut()
-        told = change.result()
-        told.refused(503, "database_unavailable")
-        assert told.headers["retry-after"]
+        response = change.result()
+        response.refused(503, "database_unavailable")
+        assert response.headers["retry-after"]
     with racing(api, "LOCK TABLE mission IN ACCESS EXCLUSIVE MODE") as send:
         read = send(api.get, listed)
         small.cut()

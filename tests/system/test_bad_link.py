@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tests.acceptance.conftest import Terminal, wait_until
-from tests.system.house import House, environment
-from tests.system.rig.link import SlowLink, slow_link
+from tests.system.chaos.link import SlowLink, slow_link
+from tests.system.cluster import Cluster, environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -32,11 +32,11 @@ _DARK_S = 20.0
 
 
 @dataclass(frozen=True)
-class Site:
+class AppContext:
     """A lab at one end of a slow link, and a robot at the other."""
 
     link: SlowLink
-    house: House
+    cluster: Cluster
     robot: Terminal
 
     def file(self, name: str, size_bytes: int) -> Path:
@@ -48,22 +48,22 @@ class Site:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppContext]:
     home = tmp_path_factory.mktemp("bad-link")
     with slow_link(rate_bytes_per_s=_RATE_BYTES_PER_S) as link:
-        house = House(home)
-        house.inside = link.command(link.lab)
-        house.options += ["--listen", "0.0.0.0", "--public-url", f"http://{link.lab_address}:{house.port}"]
+        cluster = Cluster(home)
+        cluster.inside = link.command(link.lab)
+        cluster.options += ["--listen", "0.0.0.0", "--public-url", f"http://{link.lab_address}:{cluster.port}"]
         try:
-            house.start()
+            cluster.start()
             (home / "robot").mkdir()
             robot = Terminal(home / "robot", environment(home / "robot"), link.command(link.robot))
-            token = (house.data_dir / "owner-token").read_text()
-            robot.run("endpoint", "add", "lab", house.told()["url"], stdin=token)
+            token = (cluster.data_dir / "owner-token").read_text()
+            robot.run("endpoint", "add", "lab", cluster.runtime_info()["url"], stdin=token)
             robot.run("project", "create", "p")
-            yield Site(link, house, robot)
+            yield AppContext(link, cluster, robot)
         finally:
-            house.end()
+            cluster.end()
 
 
 @dataclass
@@ -83,8 +83,8 @@ class Transfer:
 
 
 @contextmanager
-def _running(site: Site, *arguments: object) -> Iterator[Transfer]:
-    transfer = Transfer(site.robot.start(*arguments, "--json"))
+def _running(context: AppContext, *arguments: object) -> Iterator[Transfer]:
+    transfer = Transfer(context.robot.start(*arguments, "--json"))
     try:
         yield transfer
     finally:
@@ -93,92 +93,92 @@ def _running(site: Site, *arguments: object) -> Iterator[Transfer]:
             transfer.process.communicate()
 
 
-def test_a_robot_that_gets_a_new_address_every_25_s_keeps_what_it_has_sent(site: Site) -> None:
-    file = site.file("day.bin", 40 * MB)
-    sent_before = site.link.up.sent_bytes
+def test_a_robot_that_gets_a_new_address_every_25_s_keeps_what_it_has_sent(context: AppContext) -> None:
+    file = context.file("day.bin", 40 * MB)
+    sent_before = context.link.up.sent_bytes
     changes: list[float] = []
     kept: list[int] = []
-    with _running(site, "upload", "-p", "p", "-m", "moving", "--create", file) as transfer:
-        wait_until(lambda: bool(site.robot.journals()), "the upload to begin")
-        since, carried_before = time.monotonic(), site.link.up.sent_bytes
+    with _running(context, "upload", "-p", "p", "-m", "moving", "--create", file) as transfer:
+        wait_until(lambda: bool(context.robot.journals()), "the upload to begin")
+        since, carried_before = time.monotonic(), context.link.up.sent_bytes
         while transfer.process.poll() is None:
-            carried = site.link.up.sent_bytes - carried_before
+            carried = context.link.up.sent_bytes - carried_before
             if time.monotonic() - since >= _PERIOD_S and carried >= _CARRIED_BYTES:
-                since, carried_before = time.monotonic(), site.link.up.sent_bytes
+                since, carried_before = time.monotonic(), context.link.up.sent_bytes
                 changes.append(since)
-                site.link.change_address()
-            if parts := site.robot.parts_sent():  # the journal goes at the end
+                context.link.change_address()
+            if parts := context.robot.parts_sent():  # the journal goes at the end
                 kept.append(parts)
             threading.Event().wait(0.05)
         ended_at = time.monotonic()
         report = transfer.end()
     assert kept == sorted(kept), "what was kept is never lost again"
     assert len(changes) >= 3
-    assert site.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
     for moment in changes:
-        silence_s = site.link.longest_silence_s(moment, min(moment + 2 * _LONGEST_SILENCE_S, ended_at))
+        silence_s = context.link.longest_silence_s(moment, min(moment + 2 * _LONGEST_SILENCE_S, ended_at))
         assert silence_s <= _LONGEST_SILENCE_S
     assert "this machine no longer has the address" in transfer.err
     assert f"network changed {len(changes)} times" in transfer.err
     assert report["link"]["network_changes"] == len(changes)
-    site.robot.run("verify", "-p", "p", "-m", "moving", file)
+    context.robot.run("verify", "-p", "p", "-m", "moving", file)
 
 
-def test_a_link_that_is_dark_for_a_while_is_noticed_told_and_used_again(site: Site) -> None:
-    file = site.file("dark.bin", 11 * MB)
-    sent_before = site.link.up.sent_bytes
-    with _running(site, "upload", "-p", "p", "-m", "dark", "--create", file) as transfer:
+def test_a_link_that_is_dark_for_a_while_is_noticed_told_and_used_again(context: AppContext) -> None:
+    file = context.file("dark.bin", 11 * MB)
+    sent_before = context.link.up.sent_bytes
+    with _running(context, "upload", "-p", "p", "-m", "dark", "--create", file) as transfer:
         assert transfer.process.stderr is not None
-        wait_until(lambda: site.robot.parts_sent() >= 1, "a part to arrive")
+        wait_until(lambda: context.robot.parts_sent() >= 1, "a part to arrive")
         went_dark_at = time.monotonic()
-        site.link.dark.set()
+        context.link.dark.set()
         lines: list[str] = []
         while not any("reconnecting" in line for line in lines):
             lines.append(transfer.process.stderr.readline())
         noticed_s = time.monotonic() - went_dark_at
         threading.Event().wait(max(0.0, _DARK_S - noticed_s))
-        site.link.dark.clear()
+        context.link.dark.clear()
         lit_at = time.monotonic()
         report = transfer.end()
         ended_at = time.monotonic()
     assert noticed_s <= 16
-    assert lines[-1].startswith(f"no answer for 15 s from {site.link.lab_address}:")
+    assert lines[-1].startswith(f"no answer for 15 s from {context.link.lab_address}:")
     assert "connected again after" in transfer.err
     assert report["link"]["connections_lost"] >= 1
     assert report["link"]["longest_outage_s"] >= 15
-    assert site.link.longest_silence_s(lit_at, ended_at) <= _LONGEST_SILENCE_S
-    assert site.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert context.link.longest_silence_s(lit_at, ended_at) <= _LONGEST_SILENCE_S
+    assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
 
 
-def test_a_download_goes_on_from_the_byte_where_the_address_changed(site: Site, tmp_path: Path) -> None:
-    file = site.file("back.bin", 8 * MB)
+def test_a_download_goes_on_from_the_byte_where_the_address_changed(context: AppContext, tmp_path: Path) -> None:
+    file = context.file("back.bin", 8 * MB)
     lab = Terminal(
-        site.house.home,
-        environment(site.house.home, KLEINKRAM_DATA_DIR=str(site.house.data_dir)),
-        site.link.command(site.link.lab),
+        context.cluster.home,
+        environment(context.cluster.home, KLEINKRAM_DATA_DIR=str(context.cluster.data_dir)),
+        context.link.command(context.link.lab),
     )
     lab.run("upload", "-p", "p", "-m", "back", "--create", file)
-    sent_before = site.link.down.sent_bytes
-    with _running(site, "download", "-p", "p", "-m", "back", "--dest", tmp_path) as transfer:
-        wait_until(lambda: site.link.down.sent_bytes - sent_before > 4 * MB, "half of the file to come")
+    sent_before = context.link.down.sent_bytes
+    with _running(context, "download", "-p", "p", "-m", "back", "--dest", tmp_path) as transfer:
+        wait_until(lambda: context.link.down.sent_bytes - sent_before > 4 * MB, "half of the file to come")
         changed_at = time.monotonic()
-        site.link.change_address()
+        context.link.change_address()
         report = transfer.end()
         ended_at = time.monotonic()
     assert filecmp.cmp(file, tmp_path / "back.bin", shallow=False)
     assert report["link"]["network_changes"] == 1
-    assert site.link.longest_silence_down_s(changed_at, ended_at) <= _LONGEST_SILENCE_S
-    assert site.link.down.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert context.link.longest_silence_down_s(changed_at, ended_at) <= _LONGEST_SILENCE_S
+    assert context.link.down.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
 
 
-def test_a_router_that_forgets_connections_is_noticed_although_the_address_stays(site: Site) -> None:
-    file = site.file("router.bin", 8 * MB)
-    with _running(site, "upload", "-p", "p", "-m", "router", "--create", file) as transfer:
-        wait_until(lambda: site.robot.parts_sent() >= 1, "a part to arrive")
+def test_a_router_that_forgets_connections_is_noticed_although_the_address_stays(context: AppContext) -> None:
+    file = context.file("router.bin", 8 * MB)
+    with _running(context, "upload", "-p", "p", "-m", "router", "--create", file) as transfer:
+        wait_until(lambda: context.robot.parts_sent() >= 1, "a part to arrive")
         forgotten_at = time.monotonic()
-        site.link.forget_connections()
+        context.link.forget_connections()
         transfer.end()
         ended_at = time.monotonic()
     assert "old connections get no answer and new ones do" in transfer.err
-    assert site.link.longest_silence_s(forgotten_at, ended_at) <= 10
-    site.robot.run("verify", "-p", "p", "-m", "router", file)
+    assert context.link.longest_silence_s(forgotten_at, ended_at) <= 10
+    context.robot.run("verify", "-p", "p", "-m", "router", file)

@@ -30,7 +30,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Event, Report
+from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent
 from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
 
@@ -124,7 +124,7 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
         place.write_bytes(content)
     else:
         shutil.copyfile(content, place)
-    said: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"edition"})
+    said: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"etag"})
     said |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
     said |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
     said |= {"uploaded_by": _NOBODY, "created_at": _THEN, "labels": [], "compression": [], "problems": [], "facts": []}
@@ -132,7 +132,7 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
 
 
 def _mission(metadata: Metadata) -> MissionRead:
-    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"edition"})
+    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
     said |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
     said |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
     said |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
@@ -143,7 +143,7 @@ def _said(out: Path) -> Report:
     """Return what was said while it lasted, then what the report says."""
     events_file, report_file = out / EVENTS_FILE, out / REPORT_FILE
     lines = events_file.read_bytes().splitlines() if events_file.exists() else []
-    events = [Event.model_validate_json(line) for line in lines]
+    events = [ReportEvent.model_validate_json(line) for line in lines]
     last = Report.model_validate_json(report_file.read_bytes()) if report_file.exists() else Report()
     metadata = {name: value for event in events for name, value in (event.metadata or {}).items()}
     return Report(

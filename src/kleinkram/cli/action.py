@@ -12,7 +12,7 @@ from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.launch import SetOption, parameter_values, run, split_version
 from kleinkram.cli.log_view import on_stderr
-from kleinkram.cli.options import AsJson, IfEdition, Limit, MissionOption, ProjectOption, ProjectsOption
+from kleinkram.cli.options import AsJson, IfMatch, Limit, MissionOption, ProjectOption, ProjectsOption
 from kleinkram.cli.render import line, note, show_json, show_json_list
 from kleinkram.cli.run_view import show_findings, show_metrics
 from kleinkram.cli.scaffold import init
@@ -83,14 +83,14 @@ def run_local(
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
-    from kleinkram.runner.__main__ import STOCK_IMAGE
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE
     from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
 
     if definition.image is None:
-        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), STOCK_IMAGE)
+        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), DEFAULT_IMAGE)
     else:
         try:
-            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), STOCK_IMAGE)
+            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), DEFAULT_IMAGE)
         except InvalidInput as error:
             why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
             raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
@@ -142,28 +142,28 @@ def create(
     new_version: Annotated[
         bool, typer.Option("--new-version", help="As the next version of the action that has its name.")
     ] = False,
-    edition: IfEdition = None,
+    etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
     """Publish an action in a project, or without one for the whole lab; or the next version of one."""
-    if edition is not None and not new_version:
-        raise InvalidInput(what="--edition", reason="it goes with --new-version")
+    if etag is not None and not new_version:
+        raise InvalidInput(what="--if-match", reason="it goes with --new-version")
     definition = read_manifest(path)
     with connect() as client:
         if new_version:
-            made = _add_version(client, definition, project, edition)
+            made = _add_version(client, definition, project, etag)
         else:
             project_id = None if project is None else client.projects.get(project).id
             made = client.actions.create(definition, project_id=project_id)
     show_json(made) if as_json else show_action(made, made.latest)
 
 
-def _add_version(client: Client, definition: ActionDefinition, project: str | None, edition: str | None) -> ActionRead:
+def _add_version(client: Client, definition: ActionDefinition, project: str | None, etag: str | None) -> ActionRead:
     found = client.actions.get(definition.name, project=project)
     if found.latest.definition == definition:
         note(f"{found.name}@{found.latest.number} is this very definition; nothing was published.")
         return found
-    return client.actions.add_version(found.id, definition, if_edition=edition or found.edition)
+    return client.actions.add_version(found.id, definition, if_match=etag or found.etag)
 
 
 @app.command("list")
@@ -209,11 +209,11 @@ def archive(
     action: ActionArgument,
     project: ProjectOption = None,
     undo: Annotated[bool, typer.Option("--undo", help="Put it back.")] = False,
-    edition: IfEdition = None,
+    etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
     """Take an action out of lists, so that nobody runs it anew; its versions and runs stay."""
     with connect() as client:
         found = client.actions.get(action, project=project)
-        changed = client.actions.archive(found.id, archived=not undo, if_edition=edition or found.edition)
+        changed = client.actions.archive(found.id, archived=not undo, if_match=etag or found.etag)
     show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")

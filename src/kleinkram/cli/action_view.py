@@ -53,7 +53,7 @@ def show_action(action: ActionRead, version: ActionVersionRead) -> None:
             ("network", definition.network.value),
             ("right", definition.right.value),
             ("published", f"{version.created_at:%Y-%m-%d %H:%M}Z by {version.created_by.name}"),
-            ("edition", action.edition),
+            ("etag", action.etag),
         ]
     )
     if definition.parameters:

@@ -25,8 +25,8 @@ from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
-from kleinkram.contract.errors import from_problem
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.searching import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
@@ -90,9 +90,9 @@ def update(
     with connect() as client:
         found = client.files.get(file, mission=mission, project=project)
         if label is not None or no_labels:
-            found = client.files.update(found.id, if_edition=found.edition, labels=label or [])
+            found = client.files.update(found.id, if_match=found.etag, labels=label or [])
         if path is not None:
-            found = client.files.update(found.id, if_edition=found.edition, path=path)
+            found = client.files.update(found.id, if_match=found.etag, path=path)
     show_json(found) if as_json else _show(found)
 
 

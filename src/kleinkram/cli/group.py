@@ -6,7 +6,7 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import AsJson, IfEdition, Limit, Until, Yes, confirm
+from kleinkram.cli.options import AsJson, IfMatch, Limit, Until, Yes, confirm
 from kleinkram.cli.render import details, escape, line, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
 from kleinkram.contract.groups import GroupRead
@@ -70,13 +70,13 @@ def info(group: Group, as_json: AsJson = False) -> None:
 def rename(
     group: Group,
     name: Annotated[str, typer.Argument(metavar="NAME", show_default=False)],
-    edition: IfEdition = None,
+    etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
     """Rename a group."""
     with connect() as client:
         found = client.groups.get(group)
-        changed = client.groups.rename(found.id, name, if_edition=edition or found.edition)
+        changed = client.groups.rename(found.id, name, if_match=etag or found.etag)
     _show(changed, as_json)
 
 
@@ -143,6 +143,6 @@ def _show(group: GroupRead, as_json: bool) -> None:
             ("until", group.expires_at),
             ("made", group.created_at),
             ("by", group.created_by.name if group.created_by else None),
-            ("edition", group.edition),
+            ("etag", group.etag),
         ]
     )

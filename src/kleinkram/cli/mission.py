@@ -13,7 +13,7 @@ from kleinkram.cli.mission_view import show_changes, show_contents, show_mission
 from kleinkram.cli.options import (
     AsJson,
     DryRun,
-    IfEdition,
+    IfMatch,
     Limit,
     MissionOption,
     MissionsOption,
@@ -119,7 +119,7 @@ def update(
         bool, typer.Option("--replace", help="Replace all metadata by --metadata: fields that it lacks are removed.")
     ] = False,
     notes: NotesOption = None,
-    edition: IfEdition = None,
+    etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
     """Change a mission's name, notes, or metadata.
@@ -138,7 +138,7 @@ def update(
         given |= {"metadata_yaml": text, "merge_yaml": not replace}
     with connect() as client:
         found = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.update(found.id, if_edition=edition or found.edition, **given)
+        changed = client.missions.update(found.id, if_match=etag or found.etag, **given)
     if as_json:
         show_json(changed)
         return

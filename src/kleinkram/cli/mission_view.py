@@ -26,7 +26,7 @@ def show_mission(mission: MissionRead) -> None:
             ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
             ("messages", mission.message_count),
             ("not read yet", count(mission.pending_file_count, "file") if mission.pending_file_count else None),
-            ("edition", mission.edition),
+            ("etag", mission.etag),
             ("notes", mission.notes),
             *((f"  {name}", _value(value)) for name, value in mission.metadata.items()),
             *((f"problem with {problem.field}", problem.message) for problem in mission.metadata_problems),

@@ -62,13 +62,13 @@ def rename(
     with connect() as client:
         if file is not None:
             found = client.files.get(file, mission=mission, project=project)
-            old, renamed = found.path, client.files.update(found.id, if_edition=found.edition, path=new_name)
+            old, renamed = found.path, client.files.update(found.id, if_match=found.etag, path=new_name)
         elif mission is not None:
             held = client.missions.get(mission, project=project)
-            old, renamed = held.name, client.missions.update(held.id, if_edition=held.edition, name=new_name)
+            old, renamed = held.name, client.missions.update(held.id, if_match=held.etag, name=new_name)
         else:
             top = client.projects.get(the_ref("project", None, project))
-            old, renamed = top.name, client.projects.update(top.id, if_edition=top.edition, name=new_name)
+            old, renamed = top.name, client.projects.update(top.id, if_match=top.etag, name=new_name)
     show_json(renamed) if as_json else note(f"Renamed {escape(old)} to {escape(new_name)}.")
 
 

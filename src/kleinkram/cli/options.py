@@ -64,16 +64,16 @@ Connections = Annotated[
 ]
 
 
-def _edition(text: str | None) -> str | None:
+def _etag(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
-        raise InvalidInput(what="--edition", reason="it is the 16 characters that --json and `info` show as edition")
+        raise InvalidInput(what="--if-match", reason="it is the 16 characters that --json and `info` show as ETag")
     return text
 
 
-IfEdition = Annotated[
+IfMatch = Annotated[
     str | None,
     typer.Option(
-        "--edition", metavar="EDITION", callback=_edition, help="Only where it is still as it was when you looked."
+        "--if-match", metavar="EDITION", callback=_etag, help="Only where it is still as it was when you looked."
     ),
 ]
 

@@ -8,7 +8,7 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
 from kleinkram.cli.completion import complete_project
-from kleinkram.cli.options import AsJson, DryRun, IfEdition, Limit, ProjectOption, Yes, confirm, read_text, the_ref
+from kleinkram.cli.options import AsJson, DryRun, IfMatch, Limit, ProjectOption, Yes, confirm, read_text, the_ref
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, parse_size, size, total_hours
 from kleinkram.client.errors import InvalidInput
@@ -93,7 +93,7 @@ def update(
     quota_files: Annotated[
         str | None, typer.Option("--quota-files", metavar="N", help="At most so many files; or none.")
     ] = None,
-    edition: IfEdition = None,
+    etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
     """Change a project. Missions that do not satisfy new fields are reported, not broken.
@@ -105,7 +105,7 @@ def update(
     given = {key: value for key, value in changes.items() if value is not None} | _quotas(quota_bytes, quota_files)
     with connect() as client:
         found = client.projects.get(the_ref("project", name, project))
-        changed = client.projects.update(found.id, if_edition=edition or found.edition, **given)
+        changed = client.projects.update(found.id, if_match=etag or found.etag, **given)
     _show(changed, as_json)
     if changed.unsatisfied_mission_count:
         note(
@@ -163,7 +163,7 @@ def _show(project: ProjectRead, as_json: bool) -> None:
         [
             ("project", project.name),
             ("id", project.id),
-            ("edition", project.edition),
+            ("etag", project.etag),
             ("description", project.description),
             ("created", f"{project.created_at:%Y-%m-%d %H:%M}Z by {project.created_by.name}"),
             ("missions", project.mission_count),

@@ -29,7 +29,8 @@ from kleinkram.client.errors import (
     StoreUnreachable,
     remember_request,
 )
-from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
+from kleinkram.contract.errors import KleinkramError, NotAuthenticated
+from kleinkram.contract.problems import ProblemDocument, from_problem
 from kleinkram.contract.wording import first_problem
 
 T = TypeVar("T", bound=BaseModel)
@@ -127,13 +128,13 @@ class Api:
             answer.close()
 
     def send(
-        self, method: str, path: str, kind: type[T], body: BaseModel | None = None, *, edition: str | None = None
+        self, method: str, path: str, kind: type[T], body: BaseModel | None = None, *, etag: str | None = None
     ) -> T:
         """Ask for a change and return its answer; not tried again once the server may have seen it.
 
-        With an `edition`, only where what is changed is still that.
+        With an `etag`, only where what is changed is still that.
         """
-        answer = self._request(method, path, body=body, idempotent=False, edition=edition)
+        answer = self._request(method, path, body=body, idempotent=False, etag=etag)
         return self.understood(kind, f"{method} {path}", answer)
 
     def repeat(
@@ -160,9 +161,9 @@ class Api:
         """POST something that may be said twice and has no answer."""
         self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
 
-    def patch(self, path: str, kind: type[T], body: BaseModel, *, edition: str | None = None) -> T:
-        """Change a noun: only fields that were set in `body` travel. With an `edition`, only where it is still that."""
-        answer = self._request("PATCH", path, body=body, edition=edition)
+    def patch(self, path: str, kind: type[T], body: BaseModel, *, etag: str | None = None) -> T:
+        """Change a noun: only fields that were set in `body` travel. With an `etag`, only where it is still that."""
+        answer = self._request("PATCH", path, body=body, etag=etag)
         return self.understood(kind, f"PATCH {path}", answer)
 
     def delete(self, path: str, query: list[tuple[str, str]] | None = None) -> bytes:
@@ -203,7 +204,7 @@ class Api:
         patience_s: float = PATIENCE_S,
         wait: Callable[[float], object] | None = None,
         whole: bool = True,
-        edition: str | None = None,
+        etag: str | None = None,
     ) -> urllib3.BaseHTTPResponse:
         backoff: Backoff | None = None
         url = self._base + path
@@ -211,7 +212,7 @@ class Api:
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
-            said = {"X-Request-Id": request_id} | ({} if edition is None else {"If-Match": f'"{edition}"'})
+            said = {"X-Request-Id": request_id} | ({} if etag is None else {"If-Match": f'"{etag}"'})
             try:
                 answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, said, whole)
             except urllib3.exceptions.HTTPError as error:

@@ -95,7 +95,7 @@ def html_table(rows: list[dict[str, object]], *, more: bool = False) -> str:
 
 
 def _is_id(name: str) -> bool:
-    return name.rpartition(".")[2] in {"id", "edition"} or name.endswith(("_id", "_ids"))
+    return name.rpartition(".")[2] in {"id", "etag"} or name.endswith(("_id", "_ids"))
 
 
 def _cell(value: object) -> str:

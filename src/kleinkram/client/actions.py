@@ -74,17 +74,17 @@ class Actions:
         body = checked(ActionCreate, "The action", project_id=where, definition=definition)
         return self._api.send("POST", "/actions", ActionRead, body)
 
-    def add_version(self, action_id: Ref, definition: ActionDefinition, *, if_edition: str | None = None) -> ActionRead:
+    def add_version(self, action_id: Ref, definition: ActionDefinition, *, if_match: str | None = None) -> ActionRead:
         """Publish the next version of an action, under the name that it has; earlier ones stay and can be run.
 
-        With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, it is refused where somebody else came first.
 
         Raises:
             Forbidden: it is not yours to change.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(VersionCreate, "The version", definition=definition)
-        return self._api.send("POST", f"/actions/{self._id(action_id)}/versions", ActionRead, body, edition=if_edition)
+        return self._api.send("POST", f"/actions/{self._id(action_id)}/versions", ActionRead, body, etag=if_match)
 
     def versions(self, action_id: Ref) -> Listing[ActionVersionRead]:
         """Yield the versions of an action, latest first."""
@@ -103,17 +103,17 @@ class Actions:
             raise NotFound(noun="version", ref=f"{action.name}@{number}")
         return found
 
-    def archive(self, action_id: Ref, *, archived: bool = True, if_edition: str | None = None) -> ActionRead:
+    def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
         """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay.
 
-        With `if_edition`, the `edition` of what was looked at, it is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, it is refused where somebody else came first.
 
         Raises:
             Forbidden: it is not yours to change.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(ActionUpdate, "The action", archived=archived)
-        return self._api.patch(f"/actions/{self._id(action_id)}", ActionRead, body, edition=if_edition)
+        return self._api.patch(f"/actions/{self._id(action_id)}", ActionRead, body, etag=if_match)
 
     def _project_id(self, project: Ref | None) -> uuid.UUID | None:
         return None if project is None else Projects(self._api).id_of(project)

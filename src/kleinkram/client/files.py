@@ -115,19 +115,19 @@ class Files:
         ]
 
     def update(
-        self, file_id: Ref, *, if_edition: str | None = None, **changes: str | uuid.UUID | Sequence[str]
+        self, file_id: Ref, *, if_match: str | None = None, **changes: str | uuid.UUID | Sequence[str]
     ) -> FileRead:
         """Change what is given (the fields of `FileUpdate`): a path renames, a `mission_id` moves; no byte is touched.
 
-        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             FileExists, PathConflict: the new place is taken.
             InvalidInput: the path or a label is not usable.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(FileUpdate, "The file", **changes)
-        return self._api.patch(f"/files/{self.id_of(file_id)}", FileRead, body, edition=if_edition)
+        return self._api.patch(f"/files/{self.id_of(file_id)}", FileRead, body, etag=if_match)
 
     def label(
         self, file_ids: Iterable[Ref], *, add: Sequence[str] = (), remove: Sequence[str] = ()

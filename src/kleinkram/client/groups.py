@@ -51,18 +51,18 @@ class Groups:
         """
         return self._api.send("POST", "/groups", GroupRead, checked(GroupCreate, "The group", name=name))
 
-    def rename(self, group: Ref, name: str, *, if_edition: str | None = None) -> GroupRead:
+    def rename(self, group: Ref, name: str, *, if_match: str | None = None) -> GroupRead:
         """Rename a group. For its editors.
 
-        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             NameTaken, InvalidInput: as in `create`.
             GroupFixed: its name is in the server's settings.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(GroupUpdate, "The group", name=name)
-        return self._api.patch(f"/groups/{self.id_of(group)}", GroupRead, body, edition=if_edition)
+        return self._api.patch(f"/groups/{self.id_of(group)}", GroupRead, body, etag=if_match)
 
     def delete(self, group: Ref) -> None:
         """Delete a group, and with it what was granted to it. For its editors.
@@ -84,19 +84,19 @@ class Groups:
         *,
         is_editor: bool = False,
         expires_at: datetime.datetime | None = None,
-        if_edition: str | None = None,
+        if_match: str | None = None,
     ) -> MemberRead:
         """Put somebody into a group, or change how and until when they are in it. For its editors.
 
-        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
-            NotFound: there is nobody of that name or id whom one may know of; with `if_edition`, in the group.
+            NotFound: there is nobody of that name or id whom one may know of; with `if_match`, in the group.
             InvalidInput: the time has no zone.
-            EditedMeanwhile: the membership is of another edition by now.
+            EditConflict: the membership is of another ETag by now.
         """
         body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
-        return self._api.send("PUT", self._member(group, person), MemberRead, body, edition=if_edition)
+        return self._api.send("PUT", self._member(group, person), MemberRead, body, etag=if_match)
 
     def remove_member(self, group: Ref, person: Ref) -> None:
         """Take somebody out of a group, as its editor; or leave it oneself.

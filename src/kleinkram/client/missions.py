@@ -155,19 +155,19 @@ class Missions:
         return self._api.send("POST", f"/projects/{Projects(self._api).id_of(where)}/missions", MissionRead, body)
 
     def update(
-        self, mission_id: Ref, *, if_edition: str | None = None, **changes: str | bool | uuid.UUID | Metadata
+        self, mission_id: Ref, *, if_match: str | None = None, **changes: str | bool | uuid.UUID | Metadata
     ) -> MissionRead:
         """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
 
         `metadata` changes the fields that it names, and None takes one away; `metadata_yaml` is all of it anew.
-        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(MissionUpdate, "The mission", **changes)
-        return self._api.patch(f"/missions/{self.id_of(mission_id)}", MissionRead, body, edition=if_edition)
+        return self._api.patch(f"/missions/{self.id_of(mission_id)}", MissionRead, body, etag=if_match)
 
     def complete(self, mission_id: Ref) -> MissionRead:
         """Say that all of the mission is uploaded."""

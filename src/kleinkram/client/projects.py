@@ -77,20 +77,20 @@ class Projects:
         self,
         project_id: Ref,
         *,
-        if_edition: str | None = None,
+        if_match: str | None = None,
         **changes: str | bool | int | MetadataFields | None,
     ) -> ProjectRead:
         """Change what is given (the fields of `ProjectUpdate`) and return the project; a quota of None lifts it.
 
-        With `if_edition`, the `edition` of what was looked at, a change is refused where somebody else came first.
+        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
 
         Raises:
             NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
             Forbidden: to publish is for owners, quotas are for admins.
-            EditedMeanwhile: it is of another edition by now.
+            EditConflict: it is of another ETag by now.
         """
         body = checked(ProjectUpdate, "The project", **changes)
-        return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, edition=if_edition)
+        return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, etag=if_match)
 
     def delete(self, project_id: Ref, *, dry_run: bool = False) -> Deleted:
         """Move a project and all in it to the trash; with `dry_run`, only say what would go."""

@@ -8,12 +8,13 @@ import unicodedata
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from kleinkram.contract.emails import EmailAddress
 from kleinkram.contract.names import check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.signing_in import ClientName
+from kleinkram.contract.wire import Request, Response
 
 MIN_PASSWORD_CHARACTERS = 10
 MAX_PASSWORD_CHARACTERS = 256
@@ -50,22 +51,14 @@ UserCode = Annotated[str, Field(min_length=8, max_length=20, pattern=r"^[A-Za-z 
 ReturnTo = Annotated[str, Field(max_length=2000, pattern=r"^/($|[^/\\\x00-\x1f\x7f][^\\\x00-\x1f\x7f]*$)")]
 
 
-class _Asked(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class _Told(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class ProviderRef(_Told):
+class ProviderRef(Response):
     """Somebody who says who people are; `name` is what requests call them."""
 
     name: str
     title: str
 
 
-class SignInWays(_Told):
+class SignInWays(Response):
     """How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one."""
 
     password: bool
@@ -73,7 +66,7 @@ class SignInWays(_Told):
     claim: bool
 
 
-class PasswordSignIn(_Asked):
+class PasswordSignIn(Request):
     """Sign in with a local account: `POST /auth/password`. `second_factor`: of an account that has one."""
 
     email: Annotated[str, AfterValidator(check_text), Field(max_length=254)]
@@ -81,20 +74,20 @@ class PasswordSignIn(_Asked):
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
-class PasswordAgain(_Asked):
+class PasswordAgain(Request):
     """Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`."""
 
     password: GivenPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
-class TotpConfirm(_Asked):
+class TotpConfirm(Request):
     """Take a second factor into use, by a code of it: `POST /me/totp/confirm`."""
 
     code: SecondFactor = Field(repr=False)
 
 
-class TotpEnrolment(_Told):
+class TotpEnrolment(Response):
     """A secret for an authenticator app, as text, as `otpauth:` address, and as a picture (a `data:` address)."""
 
     secret: str = Field(repr=False)
@@ -102,26 +95,26 @@ class TotpEnrolment(_Told):
     qr: str = Field(repr=False)
 
 
-class RecoveryCodes(_Told):
+class RecoveryCodes(Response):
     """What stands for a code where the device is lost: each is good once, and nobody can show them again."""
 
     codes: list[str] = Field(repr=False)
 
 
-class TotpRead(_Told):
+class TotpRead(Response):
     """A second factor that is in use."""
 
     enabled_at: datetime.datetime
     recovery_codes_left: int
 
 
-class CodeSignIn(_Asked):
+class CodeSignIn(Request):
     """Sign in by a link that is good once: `POST /auth/link`."""
 
     code: OneTimeCode = Field(repr=False)
 
 
-class Claim(_Asked):
+class Claim(Request):
     """Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone."""
 
     code: OneTimeCode = Field(repr=False)
@@ -130,7 +123,7 @@ class Claim(_Asked):
     password: NewPassword | None = Field(default=None, repr=False)
 
 
-class InvitationAccept(_Asked):
+class InvitationAccept(Request):
     """Get the account that one is invited to: `POST /auth/invitation`."""
 
     code: OneTimeCode = Field(repr=False)
@@ -138,7 +131,7 @@ class InvitationAccept(_Asked):
     password: NewPassword = Field(repr=False)
 
 
-class PasswordReset(_Asked):
+class PasswordReset(Request):
     """Choose a new password by an admin's link: `POST /auth/reset`."""
 
     code: OneTimeCode = Field(repr=False)
@@ -146,26 +139,26 @@ class PasswordReset(_Asked):
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
-class PasswordChange(_Asked):
+class PasswordChange(Request):
     """Choose a new password: `POST /auth/password/change`. Other browsers are signed out."""
 
     old_password: GivenPassword = Field(repr=False)
     new_password: NewPassword = Field(repr=False)
 
 
-class ProviderBegin(_Asked):
+class ProviderBegin(Request):
     """Begin to sign in by a provider: `POST /auth/providers/{name}`; `POST /auth/link/{name}` to add it to oneself."""
 
     return_to: ReturnTo = "/"
 
 
-class ProviderBegun(_Told):
+class ProviderBegun(Response):
     """Where the browser goes next."""
 
     url: str
 
 
-class CodeRead(_Told):
+class CodeRead(Response):
     """For whom a link is: `POST /auth/codes`. Asking does not use it."""
 
     purpose: str
@@ -173,7 +166,7 @@ class CodeRead(_Told):
     email: str | None
 
 
-class OneTimeLink(_Told):
+class OneTimeLink(Response):
     """A link that is good once, until then. `warning`: what its use changes for others, and what to do before."""
 
     url: str = Field(repr=False)
@@ -181,14 +174,14 @@ class OneTimeLink(_Told):
     warning: str | None = None
 
 
-class InvitationCreate(_Asked):
+class InvitationCreate(Request):
     """Invite somebody to an account: `POST /people/invitations`. That the address is theirs is the word of who does."""
 
     email: EmailAddress
     name: PersonName | None = None
 
 
-class LoopbackApproval(_Asked):
+class LoopbackApproval(Request):
     """Agree that a program on this machine gets a token: `POST /auth/cli/approve`. It listens on 127.0.0.1:`port`."""
 
     port: Annotated[int, Field(ge=1, le=65535)]
@@ -197,19 +190,19 @@ class LoopbackApproval(_Asked):
     client: ClientName = "klein"
 
 
-class LoopbackApproved(_Told):
+class LoopbackApproved(Response):
     """Where the browser brings the code."""
 
     url: str = Field(repr=False)
 
 
-class DeviceDecision(_Asked):
+class DeviceDecision(Request):
     """Agree or disagree that the program that shows this code gets a token: `POST /auth/device/approve` or `/deny`."""
 
     user_code: UserCode
 
 
-class DeviceRead(_Told):
+class DeviceRead(Response):
     """Who asks by a code: `POST /auth/device/look`."""
 
     client: str
@@ -218,7 +211,7 @@ class DeviceRead(_Told):
     expires_at: datetime.datetime
 
 
-class AddressRead(_Told):
+class AddressRead(Response):
     """An address that is one's own; `verified_by` says by whose word: an issuer's URL, or how one came by it here."""
 
     email: str
@@ -226,7 +219,7 @@ class AddressRead(_Told):
     verified_by: str
 
 
-class AccountRead(_Told):
+class AccountRead(Response):
     """One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
 
     `totp`: the second factor beside the password, where one is in use.
@@ -241,7 +234,7 @@ class AccountRead(_Told):
     created_at: datetime.datetime
 
 
-class IdentityRead(_Told):
+class IdentityRead(Response):
     """Under whose word one signs in: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
 
     `provider` is its title, null where this server has it no more. `is_last`: without it there would be no way in.
@@ -256,7 +249,7 @@ class IdentityRead(_Told):
     last_used_at: datetime.datetime
 
 
-class BrowserSignedIn(_Told):
+class BrowserSignedIn(Response):
     """Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read."""
 
     person: PersonRef

@@ -4,16 +4,11 @@ import datetime
 import uuid
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
-
 from kleinkram.contract.home import StoreUse
+from kleinkram.contract.wire import Response
 
 
-class _Told(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class StateAmount(_Told):
+class StateAmount(Response):
     """So many blobs, or uploads, in a state, and their bytes."""
 
     state: str
@@ -21,7 +16,7 @@ class StateAmount(_Told):
     size_bytes: int
 
 
-class AdminStorage(_Told):
+class AdminStorage(Response):
     """What the store keeps, by state; what only the trash still holds; what is on its way; what goes at the next sweep.
 
     A blob counts once, however many files are made of it.
@@ -35,7 +30,7 @@ class AdminStorage(_Told):
     doomed: StateAmount
 
 
-class JobAmount(_Told):
+class JobAmount(Response):
     """So many jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at` is since when the oldest waits."""
 
     kind: str
@@ -44,7 +39,7 @@ class JobAmount(_Told):
     oldest_at: datetime.datetime | None
 
 
-class FailedJob(_Told):
+class FailedJob(Response):
     """A job that was given up. `ref` is the id of what it was for; `error` says why, where that could be kept, and the
     worker's log says more.
     """
@@ -57,7 +52,7 @@ class FailedJob(_Told):
     error: str | None
 
 
-class RetryingJob(_Told):
+class RetryingJob(Response):
     """A job that failed and waits for another attempt. `error` says why the last one failed."""
 
     id: int
@@ -68,7 +63,7 @@ class RetryingJob(_Told):
     error: str | None
 
 
-class AdminJobs(_Told):
+class AdminJobs(Response):
     """The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
 
     A job that was given up is forgotten after a week.
@@ -79,13 +74,13 @@ class AdminJobs(_Told):
     retrying: list[RetryingJob]
 
 
-class RetriedJobs(_Told):
+class RetriedJobs(Response):
     """How many jobs that were given up are in the queue again."""
 
     count: int
 
 
-class AdminHealth(_Told):
+class AdminHealth(Response):
     """How the server is.
 
     `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
@@ -111,13 +106,13 @@ class AdminHealth(_Told):
     store_takes_pages: bool
 
 
-class ScrubRequest(_Told):
+class ScrubRequest(Response):
     """A scrub to be asked for. `believe`: whoever asks has looked, and objects that are missing are gone indeed."""
 
     believe: bool = False
 
 
-class ScrubRead(_Told):
+class ScrubRead(Response):
     """One comparison of what the store lists with what the database knows of it.
 
     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
@@ -139,7 +134,7 @@ class ScrubRead(_Told):
     unknown: int
 
 
-class ScrubState(_Told):
+class ScrubState(Response):
     """The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
 
     Of the lost and corrupt those count that something still refers to.
@@ -154,7 +149,7 @@ class ScrubState(_Told):
     blobs: list[StateAmount]
 
 
-class SettingRead(_Told):
+class SettingRead(Response):
     """One setting in force. `is_set`: by the environment, else it is the default. A secret has no value here."""
 
     name: str
@@ -163,7 +158,7 @@ class SettingRead(_Told):
     is_secret: bool
 
 
-class AdminSettings(_Told):
+class AdminSettings(Response):
     """The settings of the process that answered, by name."""
 
     settings: list[SettingRead]

@@ -3,30 +3,25 @@
 import datetime
 import uuid
 
-from pydantic import BaseModel, ConfigDict
-
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.wire import Request, Response
 
 
-class CredentialRef(BaseModel):
+class CredentialRef(Response):
     """A token or a link, by the name that it was given."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
 
 
-class AuditRead(BaseModel):
+class AuditRead(Response):
     """One event: who did what to what, with what changed.
 
     `address` and `session_id` of a person are theirs and the admins' to see; of a link or a stranger, the owners' too.
     `as_admin`: it took the power of an admin; by their own rights they would have been refused.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: int
     at: datetime.datetime
@@ -47,15 +42,13 @@ class AuditRead(BaseModel):
     request_id: str | None
 
 
-class AuditFilter(BaseModel):
+class AuditFilter(Request):
     """Which events are wanted: those that satisfy all that is given.
 
     `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` is not; a time
     without zone is UTC. `project_id` and `mission_id`: whatever happened in them, at the time it happened; with
     `project_ids` and `mission_ids`, in any of several.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     person: Term | None = None
     person_id: uuid.UUID | None = None

@@ -3,7 +3,7 @@
 import enum
 import uuid
 
-from pydantic import BaseModel, ConfigDict
+from kleinkram.contract.wire import Response
 
 
 class ChangeKind(str, enum.Enum):
@@ -14,10 +14,8 @@ class ChangeKind(str, enum.Enum):
     removed = "removed"
 
 
-class Change(BaseModel):
+class Change(Response):
     """The event `change`. `id` is null where several of the noun changed at once, in that mission or project."""
-
-    model_config = ConfigDict(frozen=True)
 
     noun: str
     change: ChangeKind
@@ -34,9 +32,7 @@ class RefetchReason(str, enum.Enum):
     rights = "rights"
 
 
-class Refetch(BaseModel):
+class Refetch(Response):
     """The event `refetch`: all that was fetched may be old."""
-
-    model_config = ConfigDict(frozen=True)
 
     reason: RefetchReason

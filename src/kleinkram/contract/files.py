@@ -5,13 +5,14 @@ import enum
 import uuid
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.topics import Density
+from kleinkram.contract.wire import Request, Response
 
 
 class BlobState(str, enum.Enum):
@@ -41,50 +42,42 @@ class ReadDepth(str, enum.Enum):
     scan = "scan"
 
 
-class FileLoss(BaseModel):
+class FileLoss(Response):
     """What of a damaged recording cannot be read. `messages` is null where nothing in the file tells."""
-
-    model_config = ConfigDict(frozen=True)
 
     bytes: int
     chunks: int
     messages: int | None
 
 
-class FileFact(BaseModel):
+class FileFact(Response):
     """One thing more that a file says of itself, such as the number of poses of a trajectory."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     value: str | int | float
     unit: str
 
 
-class FileProblem(BaseModel):
+class FileProblem(Response):
     """Something odd inside a recording, in plain words."""
-
-    model_config = ConfigDict(frozen=True)
 
     code: str
     where: str
     message: str
 
 
-def _edition(said: dict[str, Any]) -> str:
-    return edition_of(said["path"], said["mission"].id, said["labels"])
+def _etag(said: dict[str, Any]) -> str:
+    return etag_of(said["path"], said["mission"].id, said["labels"])
 
 
-class FileRead(BaseModel):
+class FileRead(Response):
     """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
 
     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `edition` names
+    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
     the path and labels that people gave it last, as with missions.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     mission: MissionRef
@@ -114,26 +107,22 @@ class FileRead(BaseModel):
     depth: ReadDepth | None
     lost: FileLoss | None
     facts: list[FileFact]
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
-class FileUpdate(BaseModel):
+class FileUpdate(Request):
     """What to change of a file; what is left out stays. A path renames, a mission moves; no object is touched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: FilePath | None = None
     mission_id: uuid.UUID | None = None
     labels: Annotated[list[Label], Field(max_length=50)] | None = None
 
 
-class TopicRead(BaseModel):
+class TopicRead(Response):
     """One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
 
     `density` is told in lists of one file, where it is known, and nowhere else.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     file_id: uuid.UUID
     name: str
@@ -153,14 +142,12 @@ class TopicRead(BaseModel):
     density: Density | None = None
 
 
-class RecordingRead(BaseModel):
+class RecordingRead(Response):
     """One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
 
     `content` is that of all members together: `recovered` where something can be read and something is damaged or
     missing. `problems` are those of the whole; what is odd inside one file is among the problems of that file.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     mission: MissionRef
@@ -198,7 +185,7 @@ DurationNs = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Month = Annotated[str, Field(pattern=r"^[12][0-9]{3}-(0[1-9]|1[0-2])$")]
 
 
-class FileFilter(BaseModel):
+class FileFilter(Request):
     """Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
 
     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
@@ -208,8 +195,6 @@ class FileFilter(BaseModel):
     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     text: Term | None = None
     project: Term | None = None
@@ -245,19 +230,15 @@ class FetchPurpose(str, enum.Enum):
     look = "look"
 
 
-class DownloadRequest(BaseModel):
+class DownloadRequest(Request):
     """Files to fetch, or only to look into; the record says which."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
     purpose: FetchPurpose = FetchPurpose.download
 
 
-class DownloadLink(BaseModel):
+class DownloadLink(Response):
     """Where to read one file's bytes: GET with or without a Range header, until `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
 
     file_id: uuid.UUID
     path: str
@@ -269,9 +250,7 @@ class DownloadLink(BaseModel):
     expires_at: datetime.datetime
 
 
-class DownloadLinks(BaseModel):
+class DownloadLinks(Response):
     """Links, one a file, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[DownloadLink]

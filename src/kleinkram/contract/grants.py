@@ -4,13 +4,14 @@ import datetime
 import enum
 import uuid
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.emails import EmailAddress
 from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
+from kleinkram.contract.wire import Request, Response
 
 
 class GranteeKind(str, enum.Enum):
@@ -21,23 +22,19 @@ class GranteeKind(str, enum.Enum):
     email = "email"
 
 
-class Grantee(BaseModel):
+class Grantee(Response):
     """Whom a right is given to. An address has no id, whether or not somebody has it; its name is the address."""
-
-    model_config = ConfigDict(frozen=True)
 
     kind: GranteeKind
     id: uuid.UUID | None
     name: str
 
 
-class GrantCreate(BaseModel):
+class GrantCreate(Request):
     """A right to give, to exactly one of a person, a group and an address; without `expires_at` it has no end.
 
     Where they were granted a right there before, this takes its place.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     person_id: uuid.UUID | None = None
     group_id: uuid.UUID | None = None
@@ -52,10 +49,8 @@ class GrantCreate(BaseModel):
         return self
 
 
-class GrantUpdate(BaseModel):
+class GrantUpdate(Request):
     """What to change of a grant; what is left out stays. `expires_at` null takes its end away."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     right: Right | None = None
     expires_at: Expiry | None = None
@@ -68,10 +63,8 @@ class GrantOn(str, enum.Enum):
     mission = "mission"
 
 
-class GrantRead(BaseModel):
+class GrantRead(Response):
     """A right that was given. One that has expired has no effect any more."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     on: GrantOn
@@ -92,15 +85,13 @@ class AccessThrough(str, enum.Enum):
     admin = "admin"
 
 
-class AccessRead(BaseModel):
+class AccessRead(Response):
     """One way in which somebody has a right now; of several, the highest counts.
 
     `to` is who was granted it; null: all admins, or, where the project is public, everybody. `person` is who has it by
     that; null where that is not known, or not for the one who asks: the members of a group, whoever has an address.
     `expires_at` is when the grant or the membership ends, whichever is first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef | None
     to: Grantee | None

@@ -4,44 +4,39 @@ import datetime
 import uuid
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.names import Name
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.contract.wire import Request, Response
 
 
-class GroupCreate(BaseModel):
+class GroupCreate(Request):
     """A group to make; whoever makes it is its first member and editor."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Name
 
 
-class GroupUpdate(BaseModel):
+class GroupUpdate(Request):
     """A group's new name."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Name
 
 
-def _group_edition(said: dict[str, Any]) -> str:
-    return edition_of("group", said["id"], said["name"])
+def _group_etag(said: dict[str, Any]) -> str:
+    return etag_of("group", said["id"], said["name"])
 
 
-class GroupRead(BaseModel):
+class GroupRead(Response):
     """A group. Members whose time is over, or who left, do not count.
 
     `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
-    settings say of an affiliation group. `edition` names the group as its editors last named it: given back with a
+    settings say of an affiliation group. `etag` names the group as its editors last named it: given back with a
     change, that is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -54,31 +49,27 @@ class GroupRead(BaseModel):
     default_right: Right | None
     created_at: datetime.datetime
     created_by: PersonRef | None
-    edition: Edition = Field(default_factory=_group_edition)
+    etag: ETag = Field(default_factory=_group_etag)
 
 
-class MemberSet(BaseModel):
+class MemberSet(Request):
     """How somebody is in a group: with a say in who else is, and until when; without `expires_at` there is no end."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     is_editor: bool = False
     expires_at: Expiry | None = None
 
 
-def _member_edition(said: dict[str, Any]) -> str:
+def _member_etag(said: dict[str, Any]) -> str:
     end: datetime.datetime | None = said["expires_at"]
-    return edition_of("member", said["person"].id, said["is_editor"], end and end.timestamp())
+    return etag_of("member", said["person"].id, said["is_editor"], end and end.timestamp())
 
 
-class MemberRead(BaseModel):
+class MemberRead(Response):
     """Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
 
-    `is_active`: neither has their time ended, nor did they leave. `edition` names how and until when they are in it:
+    `is_active`: neither has their time ended, nor did they leave. `etag` names how and until when they are in it:
     given back with a change, that is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef
     emails: list[str]
@@ -87,4 +78,4 @@ class MemberRead(BaseModel):
     expires_at: datetime.datetime | None
     added_at: datetime.datetime
     added_by: PersonRef | None
-    edition: Edition = Field(default_factory=_member_edition)
+    etag: ETag = Field(default_factory=_member_etag)

@@ -4,17 +4,12 @@ import datetime
 import enum
 import uuid
 
-from pydantic import BaseModel, ConfigDict
-
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.wire import Response
 
 
-class _Told(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class RecentMission(_Told):
+class RecentMission(Response):
     """A mission in which something arrived lately; `active_at` is when."""
 
     mission: MissionRef
@@ -23,7 +18,7 @@ class RecentMission(_Told):
     size_bytes: int
 
 
-class UnfinishedUpload(_Told):
+class UnfinishedUpload(Response):
     """A file that somebody began to send. `sent_bytes` is what the store holds of it, null where it did not say.
 
     It lapses at `expires_at`; until then the same file, chosen again, goes on where it stopped.
@@ -55,7 +50,7 @@ class Need(str, enum.Enum):
     disk_low = "disk_low"
 
 
-class Attention(_Told):
+class Attention(Response):
     """So many things of a kind that need somebody, in one mission where they are of one."""
 
     need: Need
@@ -63,7 +58,7 @@ class Attention(_Told):
     mission: MissionRef | None = None
 
 
-class ProjectStorage(_Told):
+class ProjectStorage(Response):
     """What a project takes. A file counts with all its bytes, whether or not others share them."""
 
     project: ProjectRef
@@ -72,7 +67,7 @@ class ProjectStorage(_Told):
     quota_bytes: int | None
 
 
-class StoreUse(_Told):
+class StoreUse(Response):
     """What the store holds, and what is free on its disk where that is this server's to know."""
 
     used_bytes: int
@@ -80,14 +75,14 @@ class StoreUse(_Told):
     disk_bytes: int | None
 
 
-class HomeStorage(_Told):
+class HomeStorage(Response):
     """`GET /api/v1/home/storage`: the largest projects, and for admins the store."""
 
     projects: list[ProjectStorage]
     store: StoreUse | None
 
 
-class HomeRead(_Told):
+class HomeRead(Response):
     """`GET /api/v1/home`. Lists are bounded: the latest, the most pressing."""
 
     missions: list[RecentMission]

@@ -5,10 +5,11 @@ import enum
 import re
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, Field, JsonValue, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.names import check_text
+from kleinkram.contract.wire import Request
 
 MAX_YAML_CHARACTERS = 200_000
 MAX_DEPTH = 20
@@ -38,10 +39,8 @@ class Undeclared(str, enum.Enum):
     refuse = "refuse"
 
 
-class Location(BaseModel):
+class Location(Request):
     """A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     latitude: Annotated[float, Field(ge=-90, le=90)]
     longitude: Annotated[float, Field(ge=-180, le=180)]
@@ -79,13 +78,11 @@ def check_values(given: Metadata) -> Metadata:
 GivenMetadata = Annotated[Metadata, AfterValidator(check_values)]
 
 
-class MetadataField(BaseModel):
+class MetadataField(Request):
     """One field that a project declares.
 
     `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: FieldName
     type: FieldType
@@ -107,7 +104,7 @@ class MetadataField(BaseModel):
         return self
 
 
-class MetadataFields(BaseModel):
+class MetadataFields(Request):
     """All fields that a project declares, as in `fields.yaml`.
 
     ```yaml
@@ -117,8 +114,6 @@ class MetadataFields(BaseModel):
       - {name: temperature, type: number, unit: degC}
     ```
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: Annotated[list[MetadataField], Field(max_length=200)] = []
     undeclared: Undeclared = Undeclared.accept

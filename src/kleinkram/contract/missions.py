@@ -5,32 +5,31 @@ import enum
 import uuid
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.editions import Edition, edition_of
 from kleinkram.contract.errors import FieldProblem
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
+from kleinkram.contract.wire import Request, Response
 
 Notes = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
 MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
-class MissionRef(BaseModel):
+class MissionRef(Response):
     """A mission, as named beside what it holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
     project: ProjectRef
 
 
-class _SaidOnce(BaseModel):
+class _SaidOnce(Request):
     metadata_yaml: MetadataYaml | None = None
     metadata: GivenMetadata | None = None
 
@@ -47,8 +46,6 @@ class MissionCreate(_SaidOnce):
     Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Name
     notes: Notes = ""
 
@@ -61,8 +58,6 @@ class MissionUpdate(_SaidOnce):
     document that said all is dropped.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Name | None = None
     project_id: uuid.UUID | None = None
     merge_yaml: bool | None = None
@@ -70,23 +65,21 @@ class MissionUpdate(_SaidOnce):
     completed: bool | None = None
 
 
-def _edition(said: dict[str, Any]) -> str:
+def _etag(said: dict[str, Any]) -> str:
     words, project = (said[name] for name in ("name", "metadata_yaml", "notes")), said["project"]
     values = sorted(said["metadata"].items())
-    return edition_of(*words, values, project.id, said["completed_at"] is not None)
+    return etag_of(*words, values, project.id, said["completed_at"] is not None)
 
 
-class MissionRead(BaseModel):
+class MissionRead(Response):
     """A mission and what it amounts to.
 
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-    `edition` names what people edited last: given back with a change, that is refused where somebody else came first.
+    `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -106,17 +99,15 @@ class MissionRead(BaseModel):
     pending_file_count: int
     recordings_current: bool
     right: Right
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
-class MissionTemplate(BaseModel):
+class MissionTemplate(Response):
     """What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
 
     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
     stand in comments. Dates, weather and operator are not among them.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     yaml: str
     fields: MetadataFields
@@ -141,15 +132,13 @@ MetadataSort = Annotated[str, Field(pattern=r"^-?meta\.[A-Za-z][A-Za-z0-9_.]{0,1
 MissionOrder = MissionSort | MetadataSort
 
 
-class MissionFilter(BaseModel):
+class MissionFilter(Request):
     """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
 
     `where` are comparisons with metadata: `robot=anymal`, `temperature>20`, `operator!=ada`, `site~zur*`.
     `text` is found in names, notes and metadata values. `projects` and `missions` are names, globs or ids of several,
     of which any may hold.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     text: Term | None = None
     project: Term | None = None

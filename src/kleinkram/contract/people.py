@@ -3,25 +3,21 @@
 import datetime
 import uuid
 
-from pydantic import BaseModel, ConfigDict
+from kleinkram.contract.wire import Response
 
 
-class PersonRef(BaseModel):
+class PersonRef(Response):
     """A person, as named beside what they did."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
 
 
-class PersonRead(BaseModel):
+class PersonRead(Response):
     """A person. `emails` are their verified addresses, for themselves, admins, and editors of a group that they are in.
 
     `deactivated_at` is when they left; only admins see those who did.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -31,10 +27,8 @@ class PersonRead(BaseModel):
     deactivated_at: datetime.datetime | None
 
 
-class Departure(BaseModel):
+class Departure(Response):
     """What ended when somebody was deactivated, and the projects that went to the admins for want of another owner."""
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef
     sessions: int
@@ -43,22 +37,18 @@ class Departure(BaseModel):
     projects: list[str]
 
 
-class ViewerRead(BaseModel):
+class ViewerRead(Response):
     """A page elsewhere that shows a recording; `{url}` in its `url` is replaced by the recording's, percent-encoded."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     url: str
 
 
-class ServiceRead(BaseModel):
+class ServiceRead(Response):
     """What a server says of itself to whoever comes: `GET /api/v1/service`. `person` is who asks, where it is one.
 
     `name` is the lab's. `store_url` is where bytes are sent and fetched, `store_origin` how a browser names that place.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     version: str

@@ -5,14 +5,15 @@ import enum
 import uuid
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.editions import Edition, edition_of
+from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
+from kleinkram.contract.wire import Request, Response
 
 Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 # An SPDX identifier such as CC-BY-4.0, or the licence's own words.
@@ -22,16 +23,14 @@ Quota = Annotated[int, Field(ge=0, le=2**63 - 1)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
-class ProjectRef(BaseModel):
+class ProjectRef(Response):
     """A project, as named beside what it holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
 
 
-class _DeclaredOnce(BaseModel):
+class _DeclaredOnce(Request):
     fields_yaml: FieldsYaml | None = None
     metadata_fields: MetadataFields | None = None
 
@@ -45,8 +44,6 @@ class _DeclaredOnce(BaseModel):
 class ProjectCreate(_DeclaredOnce):
     """A project to make. Its fields are the text of a `fields.yaml`, or `metadata_fields`; the server judges both."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Name
     description: Description = ""
 
@@ -56,8 +53,6 @@ class ProjectUpdate(_DeclaredOnce):
 
     Anybody may read a public project, with or without an account. A quota of null is none; admins set quotas.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Name | None = None
     description: Description | None = None
@@ -71,19 +66,17 @@ class ProjectUpdate(_DeclaredOnce):
 _EDITED = ("name", "description", "is_public", "licence", "citation", "quota_bytes", "quota_files")
 
 
-def _edition(said: dict[str, Any]) -> str:
+def _etag(said: dict[str, Any]) -> str:
     fields: MetadataFields = said["metadata_fields"]
-    return edition_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
+    return etag_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
 
 
-class ProjectRead(BaseModel):
+class ProjectRead(Response):
     """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
 
-    What is used, which the quotas bound, is the files and the uploads under way. `edition` names what people edited
+    What is used, which the quotas bound, is the files and the uploads under way. `etag` names what people edited
     last, as with missions.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -104,7 +97,7 @@ class ProjectRead(BaseModel):
     used_bytes: int
     used_files: int
     right: Right
-    edition: Edition = Field(default_factory=_edition)
+    etag: ETag = Field(default_factory=_etag)
 
 
 class ProjectSort(str, enum.Enum):

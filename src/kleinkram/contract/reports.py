@@ -1,16 +1,17 @@
-"""What a run says in a form that is understood: findings, metrics, previews, and what it proposes for the mission.
+"""The report of a run: findings, metrics, previews, and metadata that it proposes for the mission.
 
-`/out/report.json` holds a `Report`; while a run lasts, each line of `/out/.kleinkram/events.jsonl` is an `Event`.
+`/out/report.json` holds a `Report`; while a run lasts, each line of `/out/.kleinkram/events.jsonl` is a `ReportEvent`.
 """
 
 import enum
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.metadata import GivenMetadata
 from kleinkram.contract.names import FilePath, check_text
+from kleinkram.contract.wire import Request
 
 MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000
@@ -35,10 +36,8 @@ class Severity(str, enum.Enum):
     error = "error"
 
 
-class Finding(BaseModel):
-    """Something that a run noticed. `file` is a path of its inputs; times are log times, in ns since 1970."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Finding(Request):
+    """An observation of a run. `file` is the path of an input; times are log times, in ns since 1970."""
 
     severity: Severity
     code: Code
@@ -48,10 +47,8 @@ class Finding(BaseModel):
     time_ns: LogTime | None = None
 
 
-class Metric(BaseModel):
-    """A number that a run found. One of a name and a file: a later one takes the place of an earlier."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Metric(Request):
+    """A number that a run measured. A later one of the same name and file replaces an earlier one."""
 
     name: Code
     value: FiniteFloat
@@ -59,29 +56,23 @@ class Metric(BaseModel):
     file: FilePath | None = None
 
 
-class Preview(BaseModel):
-    """A picture (PNG, JPEG, SVG), a table (CSV) or a track (GeoJSON) among the artifacts, to be shown with the run."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Preview(Request):
+    """A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run."""
 
     path: FilePath
     title: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class PutBack(BaseModel):
-    """An artifact that becomes a file of the mission, at `to`, made from the inputs `made_from` (none named: all)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class PutBack(Request):
+    """An artifact that becomes the file `to` of the mission, made from the inputs `made_from` (empty: all)."""
 
     path: FilePath
     to: FilePath
     made_from: Annotated[list[FilePath], Field(max_length=10_000)] = []
 
 
-class Report(BaseModel):
-    """All that a run says. `metadata` is proposed to people, never taken over by itself."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Report(Request):
+    """The whole report of a run. `metadata` is a proposal; a person accepts or ignores it."""
 
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
@@ -90,19 +81,15 @@ class Report(BaseModel):
     put_back: Annotated[list[PutBack], Field(max_length=10_000)] = []
 
 
-class Progress(BaseModel):
-    """How far a run is: `fraction` from 0 to 1, and what it is at."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Progress(Request):
+    """The progress of a run: `fraction` from 0 to 1, and a message."""
 
     fraction: Annotated[float, Field(ge=0, le=1)]
     message: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class Event(BaseModel):
-    """One thing that a run says while it lasts: exactly one of these is there."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class ReportEvent(Request):
+    """A single report while the run lasts: exactly one field is set."""
 
     finding: Finding | None = None
     metric: Metric | None = None
@@ -112,7 +99,7 @@ class Event(BaseModel):
     put_back: PutBack | None = None
 
     @model_validator(mode="after")
-    def _says_one_thing(self) -> Self:
+    def _has_one_field(self) -> Self:
         if len(self.model_fields_set) != 1:
-            raise ValueError("an event says one thing")
+            raise ValueError("an event has exactly one field")
         return self

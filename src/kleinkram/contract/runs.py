@@ -1,33 +1,34 @@
-"""Runs: executions of an action on a mission, and what they say and leave."""
+"""Runs: executions of an action on a mission, their reports and artifacts."""
 
 import datetime
 import enum
 import uuid
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
+from kleinkram.contract.wire import Request, Response
 
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000
 MAX_SAMPLES = 720
 # Metrics that a run in a list carries.
 MAX_LISTED_METRICS = 12
-# What a run may write to stdout and stderr; what comes after is dropped, and the log says so.
+# The most that is stored of the output of a run; the log says where it was cut.
 LOG_BYTES = 100 * 2**20
 
 
 class RunState(str, enum.Enum):
-    """Where a run is. `preparing` fetches image and inputs, `collecting` keeps what it left; three are ends."""
+    """The state of a run. `preparing` fetches image and inputs, `collecting` uploads results; three are final."""
 
     queued = "queued"
     preparing = "preparing"
@@ -39,7 +40,7 @@ class RunState(str, enum.Enum):
 
 
 class EndReason(str, enum.Enum):
-    """Why a run is over. `exit_code`: the command said so itself; all after it are not the command's word."""
+    """Why a run ended. `done` and `exit_code` come from the command itself."""
 
     done = "done"
     exit_code = "exit_code"
@@ -57,32 +58,26 @@ class EndReason(str, enum.Enum):
     lost = "lost"
 
 
-class ActionRef(BaseModel):
-    """An action in one version; id and version are null where it is run from a folder that nobody has published."""
-
-    model_config = ConfigDict(frozen=True)
+class ActionRef(Response):
+    """A version of an action; id and version are null where the action is not published."""
 
     id: uuid.UUID | None = None
     name: str
     version: Annotated[int, Field(ge=1)] | None
 
 
-class Cause(BaseModel):
-    """Why a run is: who asked for it, and of which run it is another try."""
-
-    model_config = ConfigDict(frozen=True)
+class Cause(Response):
+    """Who launched a run, and which run it retries."""
 
     person: PersonRef | None = None
     retry_of_id: uuid.UUID | None = None
 
 
-class RunContext(BaseModel):
-    """What `/in/mission.json` says: the mission, the files that the run gets with what is known of them, and its task.
+class RunContext(Response):
+    """The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
 
-    `run_id` is null where no server knows of the run. `topics` are of the files, `recordings` of the mission.
+    `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     contract: Literal[1] = 1
     run_id: uuid.UUID | None
@@ -95,14 +90,12 @@ class RunContext(BaseModel):
     recordings: list[RecordingRead]
 
 
-class RunsCreate(BaseModel):
-    """An action to run on each of some missions: a published one by its id, in its latest version unless another is
-    named; or as a definition, which is then run without being published.
+class RunsCreate(Request):
+    """An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
+    or an unpublished definition.
 
-    Results of an earlier good run of the very same (version, image, parameters, inputs) are reused unless `force`.
+    Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
     action_id: uuid.UUID | None = None
@@ -120,10 +113,8 @@ class RunsCreate(BaseModel):
         return self
 
 
-class Usage(BaseModel):
-    """What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen."""
-
-    model_config = ConfigDict(frozen=True)
+class Usage(Response):
+    """Resource usage of a run. `memory_bytes` is the current value, `peak_memory_bytes` the maximum."""
 
     cpu_s: Annotated[float, Field(ge=0)]
     memory_bytes: Annotated[int, Field(ge=0)]
@@ -132,25 +123,21 @@ class Usage(BaseModel):
     written_bytes: Annotated[int, Field(ge=0)]
 
 
-class Sample(BaseModel):
-    """What a run used at some moment, `at_s` after its container was started."""
-
-    model_config = ConfigDict(frozen=True)
+class UsageSample(Response):
+    """Resource usage of a run `at_s` seconds after its start."""
 
     at_s: Annotated[float, Field(ge=0)]
     usage: Usage
 
 
-class RunRead(BaseModel):
+class RunRead(Response):
     """A run.
 
-    `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
-    image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
-    `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
-    `may_cancel`: the asker may, and it is not over.
+    `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
+    image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
+    `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
+    `may_cancel`: the reader may cancel it, and it has not ended.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     mission: MissionRef
@@ -185,52 +172,44 @@ class RunRead(BaseModel):
 
 
 class RunDetail(RunRead):
-    """A run with all that fits one answer. `problems` say what of its words or files could not be taken.
+    """A run with its details. `problems` name the results that could not be stored.
 
-    `metadata` is what it proposes for the mission. `samples` are thinned out: at most 720.
+    `metadata` is what the run proposes for the mission. There are at most 720 `samples`.
     """
 
     definition: ActionDefinition
     problems: list[str]
     metadata: Metadata
     previews: list[Preview]
-    samples: list[Sample]
+    samples: list[UsageSample]
 
 
-class RunMade(BaseModel):
-    """A run that was made; one that reuses results is over already."""
+class RunCreated(Response):
+    """A run that was created; one that reuses results has already ended."""
 
-    model_config = ConfigDict(frozen=True)
-
-    outcome: Literal["made"] = "made"
+    outcome: Literal["created"] = "created"
     run: RunRead
 
 
-class RunRefused(BaseModel):
-    """Why no run was made on a mission; those on the others were."""
-
-    model_config = ConfigDict(frozen=True)
+class RunRefused(Response):
+    """Why no run was created on a mission; runs on the other missions were."""
 
     outcome: Literal["refused"] = "refused"
     mission_id: uuid.UUID
     problem: ProblemDocument
 
 
-class RunsMade(BaseModel):
-    """One outcome a mission, in the order asked."""
+class RunsCreated(Response):
+    """One outcome per mission, in the requested order."""
 
-    model_config = ConfigDict(frozen=True)
-
-    items: list[Annotated[RunMade | RunRefused, Field(discriminator="outcome")]]
+    items: list[Annotated[RunCreated | RunRefused, Field(discriminator="outcome")]]
 
 
-class RunFilter(BaseModel):
-    """Which runs are wanted: those that satisfy all that is given. `action` may be a glob of its name.
+class RunFilter(Request):
+    """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
-    Of several projects, or several missions, any may hold.
+    Of several projects or missions, any may match.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     project_id: uuid.UUID | None = None
     project_ids: Ids = []
@@ -243,10 +222,8 @@ class RunFilter(BaseModel):
     mine: bool = False
 
 
-class RunInput(BaseModel):
-    """A file that a run was given, as it was then. `file_id` is null where it is no longer there."""
-
-    model_config = ConfigDict(frozen=True)
+class RunInput(Response):
+    """An input of a run, as it was at launch. `file_id` is null where the file no longer exists."""
 
     path: str
     size_bytes: int
@@ -254,10 +231,8 @@ class RunInput(BaseModel):
     file_id: uuid.UUID | None
 
 
-class ArtifactRead(BaseModel):
-    """A file that a run left. `file_id` is that of the mission's file that was made of it, where one was."""
-
-    model_config = ConfigDict(frozen=True)
+class ArtifactRead(Response):
+    """A file that a run produced. `file_id` is the file of the mission that was created from it, if any."""
 
     id: uuid.UUID
     run_id: uuid.UUID
@@ -267,36 +242,28 @@ class ArtifactRead(BaseModel):
     file_id: uuid.UUID | None
 
 
-class ArtifactUrl(BaseModel):
-    """Where to GET an artifact, before `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
+class ArtifactUrl(Response):
+    """A URL to GET an artifact from before `expires_at`."""
 
     artifact: ArtifactRead
     url: str
     expires_at: datetime.datetime
 
 
-class ArtifactsRequest(BaseModel):
-    """Artifacts of a run to fetch."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class ArtifactsRequest(Request):
+    """Artifacts of a run to download."""
 
     artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
 
 
-class ArtifactUrls(BaseModel):
-    """Where to fetch them, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
+class ArtifactUrls(Response):
+    """URLs of artifacts, in the requested order."""
 
     items: list[ArtifactUrl]
 
 
-class FindingRead(BaseModel):
-    """A finding, and the run that said it."""
-
-    model_config = ConfigDict(frozen=True)
+class FindingRead(Response):
+    """A finding and the run that reported it."""
 
     id: int
     run_id: uuid.UUID
@@ -305,10 +272,8 @@ class FindingRead(BaseModel):
     finding: Finding
 
 
-class MetricRead(BaseModel):
-    """A metric, and the run that said it."""
-
-    model_config = ConfigDict(frozen=True)
+class MetricRead(Response):
+    """A metric and the run that reported it."""
 
     id: int
     run_id: uuid.UUID
@@ -317,10 +282,8 @@ class MetricRead(BaseModel):
     metric: Metric
 
 
-class SayingFilter(BaseModel):
-    """Which findings or metrics are wanted. `code` (a metric's name) may be a glob; any of several places may hold."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class ReportFilter(Request):
+    """A filter for findings or metrics. `code` (or a metric's name) may be a glob."""
 
     run_id: uuid.UUID | None = None
     mission_id: uuid.UUID | None = None
@@ -331,13 +294,11 @@ class SayingFilter(BaseModel):
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
 
 
-class LogPiece(BaseModel):
-    """A piece of what a run wrote, from the byte `offset` on; the next one begins at `next_offset`.
+class LogChunkRead(Response):
+    """A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
 
-    It ends with a whole line, unless the log ends or a line is very long. `is_over`: nothing comes after `next_offset`.
+    It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     attempt: int
     offset: int
@@ -346,20 +307,16 @@ class LogPiece(BaseModel):
     is_over: bool
 
 
-class LineageFile(BaseModel):
-    """A file in a lineage. `id` is null where it is no longer there, or not for the asker."""
-
-    model_config = ConfigDict(frozen=True)
+class LineageFile(Response):
+    """A file in a lineage. `id` is null where it no longer exists or is not visible to the reader."""
 
     id: uuid.UUID | None
     path: str
     sha256: str
 
 
-class LineageRun(BaseModel):
-    """A run in a lineage: what it was given, and the files of the mission and the artifacts that it made."""
-
-    model_config = ConfigDict(frozen=True)
+class LineageRun(Response):
+    """A run in a lineage: its inputs, and the files of the mission that were created from its artifacts."""
 
     run: RunRead
     inputs: list[LineageFile]
@@ -367,10 +324,8 @@ class LineageRun(BaseModel):
     artifact_count: int
 
 
-class LineageRead(BaseModel):
-    """Where a file comes from and what came from it, one step each way; `truncated` where more runs read it."""
-
-    model_config = ConfigDict(frozen=True)
+class LineageRead(Response):
+    """The run that produced a file and the runs that read it; `truncated` where more runs read it."""
 
     file: LineageFile
     made_by: LineageRun | None

@@ -3,13 +3,14 @@
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import Label, check_text
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import ProblemDocument
+from kleinkram.contract.wire import Request, Response
 
 MAX_QUERY_CHARACTERS = 8192
 MAX_LABELLED = 500
@@ -23,10 +24,8 @@ class FileQuery(FileFilter):
     query: QueryText | None = None
 
 
-class TopicFound(BaseModel):
+class TopicFound(Response):
     """A topic of one name and type, over all files that match. `message_count` is null where none is counted."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     message_type: str | None
@@ -34,7 +33,7 @@ class TopicFound(BaseModel):
     message_count: int | None
 
 
-class SearchRead(BaseModel):
+class SearchRead(Response):
     """What a query finds: the first of the missions, files and topics, with how many there are.
 
     `query` is the text in its own order and spelling; `filter` is what it means. Missions are those that match by what
@@ -42,8 +41,6 @@ class SearchRead(BaseModel):
     `query` and `sort=-start`. Not `is_whole` where very many files match: then every number of missions, files and
     topics is an estimate, in two digits, and the topics are those of files drawn by lot.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     query: str
     filter: FileFilter
@@ -53,13 +50,11 @@ class SearchRead(BaseModel):
     is_whole: bool = True
 
 
-class FacetValue(BaseModel):
+class FacetValue(Response):
     """One value of a facet. `query` is the whole text with this value chosen, or taken back where it is chosen.
 
     `file_count` is how many files the query finds that have it, whatever else is chosen of the same facet.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     value: str
     file_count: int
@@ -67,23 +62,19 @@ class FacetValue(BaseModel):
     query: str
 
 
-class Facet(BaseModel):
+class Facet(Response):
     """How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
 
     The most frequent values first, months the latest; `value_count` is how many there are in all.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     values: list[FacetValue]
     value_count: int
 
 
-class FacetsRead(BaseModel):
+class FacetsRead(Response):
     """The facets of a query. Not `is_whole` where only the first `file_count` files were looked at, to save time."""
-
-    model_config = ConfigDict(frozen=True)
 
     query: str
     file_count: int
@@ -91,29 +82,23 @@ class FacetsRead(BaseModel):
     facets: list[Facet]
 
 
-class LabelChange(BaseModel):
+class LabelChange(Request):
     """Labels to put on files and to take off; what is in both is put on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LABELLED)]
     add: Labels = []
     remove: Labels = []
 
 
-class FileLabelled(BaseModel):
+class FileLabelled(Response):
     """How it went with one file: its labels now, or what kept them as they were."""
-
-    model_config = ConfigDict(frozen=True)
 
     file_id: uuid.UUID
     labels: list[str] | None
     problem: ProblemDocument | None
 
 
-class FilesLabelled(BaseModel):
+class FilesLabelled(Response):
     """How it went, file by file, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[FileLabelled]

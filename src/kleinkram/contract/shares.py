@@ -4,12 +4,13 @@ import datetime
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import Label
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.wire import Request, Response
 
 # The page of the server's that a link opens; the secret follows behind a `#`, where no log sees it.
 SHARE_PAGE = "/s"
@@ -21,23 +22,19 @@ def is_link(text: str) -> bool:
     return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
 
 
-class ShareCreate(BaseModel):
+class ShareCreate(Request):
     """A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Label
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_SHARED_FILES)] | None = None
     expires_at: Expiry
 
 
-class ShareRead(BaseModel):
+class ShareRead(Response):
     """A link without its secret; `prefix` is how that begins.
 
     `file_count` is null for a link to a whole mission. Downloads are addresses given out, a file each, and their bytes.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
@@ -53,20 +50,16 @@ class ShareRead(BaseModel):
     download_bytes: int
 
 
-class ShareMade(BaseModel):
+class ShareMade(Response):
     """A new link with its secret, which nobody can show again. `url` holds the secret, too."""
-
-    model_config = ConfigDict(frozen=True)
 
     share: ShareRead
     url: Annotated[str, Field(repr=False)]
     secret: Annotated[str, Field(repr=False)]
 
 
-class SharedRead(BaseModel):
+class SharedRead(Response):
     """What a link shows, as seen by whoever has it: `file_count` and `size_bytes` of what it shows now."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     mission: MissionRef

@@ -12,10 +12,11 @@ import enum
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope
+from kleinkram.contract.wire import Request, Response
 
 
 def check_client_name(name: str) -> str:
@@ -35,18 +36,14 @@ ClientName = Annotated[str, AfterValidator(check_client_name), Field(min_length=
 _Unguessable = Annotated[str, Field(min_length=20, max_length=200, pattern=r"^[A-Za-z0-9._~-]+$")]
 
 
-class DeviceBegin(BaseModel):
+class DeviceBegin(Request):
     """Ask for a code that can be typed on another machine: `POST /auth/device`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     client: ClientName = "klein"
 
 
-class DeviceCode(BaseModel):
+class DeviceCode(Response):
     """Where to type which code, and how to ask whether it was."""
-
-    model_config = ConfigDict(frozen=True)
 
     device_code: str
     user_code: str
@@ -56,27 +53,21 @@ class DeviceCode(BaseModel):
     expires_s: float
 
 
-class DeviceExchange(BaseModel):
+class DeviceExchange(Request):
     """Ask whether the code was typed: `POST /auth/device/token`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     device_code: _Unguessable
 
 
-class CliExchange(BaseModel):
+class CliExchange(Request):
     """Exchange what the browser brought for a token: `POST /auth/cli/token`. A code is good for once."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     code: _Unguessable
     code_verifier: Annotated[str, Field(min_length=43, max_length=128, pattern=r"^[A-Za-z0-9._~-]+$")]
 
 
-class SignedIn(BaseModel):
+class SignedIn(Response):
     """A new token, told this once, and whose it is."""
-
-    model_config = ConfigDict(frozen=True)
 
     token: str
     person: PersonRef
@@ -93,13 +84,11 @@ class CredentialKind(str, enum.Enum):
     run = "run"
 
 
-class CredentialRead(BaseModel):
+class CredentialRead(Response):
     """The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only.
 
     `DELETE /tokens/{id}` ends a token, `DELETE /me/sessions/{id}` a session.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     kind: CredentialKind
@@ -109,10 +98,8 @@ class CredentialRead(BaseModel):
     expires_at: datetime.datetime | None
 
 
-class MeRead(BaseModel):
+class MeRead(Response):
     """Who the server takes the caller for: `GET /me`. `is_admin`: with the power of an admin, by this credential."""
-
-    model_config = ConfigDict(frozen=True)
 
     person: PersonRef
     emails: list[str]
@@ -121,10 +108,8 @@ class MeRead(BaseModel):
     credential: CredentialRead
 
 
-class SessionRead(BaseModel):
+class SessionRead(Response):
     """A browser that one is signed in with: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     way: str

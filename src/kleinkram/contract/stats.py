@@ -2,16 +2,16 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from kleinkram.contract.wire import Response
 
 
-class StatsRow(BaseModel):
+class StatsRow(Response):
     """One group. `duration_ns` sums the recordings' spans; files in the trash do not count.
 
     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are that group's own.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     group: str | None
     missions: int
@@ -22,10 +22,8 @@ class StatsRow(BaseModel):
     messages: int
 
 
-class StatsRead(BaseModel):
+class StatsRead(Response):
     """Statistics by `by` (`project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`), and in all."""
-
-    model_config = ConfigDict(frozen=True)
 
     by: str
     rows: list[StatsRow]
@@ -38,13 +36,11 @@ MAX_BUCKETS = 200
 Buckets = Annotated[int, Field(ge=1, le=MAX_BUCKETS)]
 
 
-class Bucket(BaseModel):
+class Bucket(Response):
     """Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
 
     All three are null for what has no such time or value.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     value: str | None
     low: float | None = None
@@ -52,15 +48,13 @@ class Bucket(BaseModel):
     stats: StatsRow
 
 
-class Overview(BaseModel):
+class Overview(Response):
     """What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
 
     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
     topics; null for who is shown less than whole missions.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     by: str
     unit: str | None

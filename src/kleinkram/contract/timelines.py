@@ -3,19 +3,18 @@
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kleinkram.contract.files import BlobState, ContentState
+from kleinkram.contract.wire import Response
 
 MAX_TIMELINE_FILES = 10_000
 
 TimelineSize = Annotated[int, Field(ge=1, le=MAX_TIMELINE_FILES)]
 
 
-class TimelineFile(BaseModel):
+class TimelineFile(Response):
     """When one file was recorded; `start_ns` and `end_ns` are null where it has no times, or nobody read it yet."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     path: str
@@ -27,13 +26,11 @@ class TimelineFile(BaseModel):
     state: BlobState
 
 
-class MissionTimeline(BaseModel):
+class MissionTimeline(Response):
     """Files of a mission, by path; `next` is the cursor of those that follow, or null.
 
     `start_ns` and `end_ns` span the mission (log clock, since 1970, UTC), without recordings from before 1990.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     start_ns: int | None
     end_ns: int | None

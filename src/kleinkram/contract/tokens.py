@@ -4,13 +4,14 @@ import datetime
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.expiry import Expiry
 from kleinkram.contract.names import Label
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.wire import Request, Response
 
 DEFAULT_SCOPES = {
     TokenKind.personal: (Scope.write,),
@@ -21,7 +22,7 @@ DEFAULT_SCOPES = {
 Places = Annotated[list[uuid.UUID], Field(max_length=100)]
 
 
-class TokenCreate(BaseModel):
+class TokenCreate(Request):
     """A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
 
     A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone,
@@ -30,8 +31,6 @@ class TokenCreate(BaseModel):
 
     Without `expires_at` it ends after the time that the server's settings name. `no_end` takes a server that allows it.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Label
     kind: TokenKind = TokenKind.personal
@@ -70,33 +69,27 @@ class TokenCreate(BaseModel):
         return self
 
 
-class TokenPlace(BaseModel):
+class TokenPlace(Response):
     """A project or mission that a token is limited to. `name` is null where whoever asks may not see it (any more)."""
-
-    model_config = ConfigDict(frozen=True)
 
     noun: str
     id: uuid.UUID
     name: str | None
 
 
-class TokenRunner(BaseModel):
+class TokenRunner(Response):
     """The runner that a token is bound to. `name` is null until it has said hello."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str | None
 
 
-class TokenRead(BaseModel):
+class TokenRead(Response):
     """A token without its secret; `prefix` is how that begins.
 
     `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
     `last_used_at` is exact to a minute. `runner` is null of a runner's token that no runner has used yet.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     person: PersonRef
@@ -113,10 +106,8 @@ class TokenRead(BaseModel):
     runner_labels: list[str] | None = None
 
 
-class TokenMade(BaseModel):
+class TokenMade(Response):
     """A new token with its secret, which nobody can show again."""
-
-    model_config = ConfigDict(frozen=True)
 
     token: TokenRead
     secret: Annotated[str, Field(repr=False)]

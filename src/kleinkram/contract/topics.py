@@ -3,7 +3,9 @@
 import uuid
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from kleinkram.contract.wire import Response
 
 MAX_BINS = 512
 MAX_MISSION_TOPICS = 2_000
@@ -13,40 +15,34 @@ Bins = Annotated[int, Field(ge=0, le=MAX_BINS)]
 MissionTopicsSize = Annotated[int, Field(ge=1, le=MAX_MISSION_TOPICS)]
 
 
-class Density(BaseModel):
+class Density(Response):
     """How many messages lie where in time.
 
     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     start_ns: int
     bin_ns: int
     counts: list[int]
 
 
-class TimeAxis(BaseModel):
+class TimeAxis(Response):
     """The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on."""
-
-    model_config = ConfigDict(frozen=True)
 
     start_ns: int
     bin_ns: int
     bins: int
 
 
-class RecordingRef(BaseModel):
+class RecordingRef(Response):
     """A recording, as named beside what it holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     name: str
 
 
-class MissionTopic(BaseModel):
+class MissionTopic(Response):
     """One topic with one type, in all recordings of a mission.
 
     `other_types` are those under which the mission has the same topic too: a conflict. `count` is null where a file
@@ -55,8 +51,6 @@ class MissionTopic(BaseModel):
     topic was read since densities are kept, and adding up to less than `count` where only some were. `recordings` are
     those that have messages of it, as ranges `[first, last]` (both inclusive) of places in the answer's `recordings`.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     message_type: str | None
@@ -73,14 +67,12 @@ class MissionTopic(BaseModel):
     counts: list[int] | None
 
 
-class MissionTopics(BaseModel):
+class MissionTopics(Response):
     """A page of the topics of a mission, by name and type.
 
     `axis` spans the mission without recordings from before 1990; null where no times are known. `recordings` are in
     the order of time. `is_current` says whether this follows from today's files; if not, it soon will.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     axis: TimeAxis | None
     recordings: list[RecordingRef]

@@ -4,9 +4,8 @@ import datetime
 import enum
 import uuid
 
-from pydantic import BaseModel, ConfigDict
-
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.wire import Response
 
 
 class TrashNoun(str, enum.Enum):
@@ -17,13 +16,11 @@ class TrashNoun(str, enum.Enum):
     file = "file"
 
 
-class TrashRead(BaseModel):
+class TrashRead(Response):
     """Something deleted. `place` is what held it: the project of a mission, project and mission of a file.
 
     A mission that was deleted with its project is not listed by itself; it comes back with the project.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     noun: TrashNoun
     id: uuid.UUID
@@ -36,13 +33,11 @@ class TrashRead(BaseModel):
     swept_after: datetime.datetime
 
 
-class Deleted(BaseModel):
+class Deleted(Response):
     """What a deletion moved to the trash (or, as a dry run, would move).
 
     Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     missions: int
     files: int

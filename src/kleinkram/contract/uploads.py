@@ -5,12 +5,13 @@ import enum
 import uuid
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
+from kleinkram.contract.problems import ProblemDocument
+from kleinkram.contract.wire import Request, Response
 
 # The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.
 MIN_PART_BYTES = 5 * 1024 * 1024
@@ -57,7 +58,7 @@ class UploadState(str, enum.Enum):
     expired = "expired"
 
 
-class UploadFile(BaseModel):
+class UploadFile(Request):
     """One file that a client wants to upload. Hashes where they are known already, lower-case hex.
 
     Small files come with both hashes at once, so that most are decided in one answer, and where there is one part, its
@@ -66,8 +67,6 @@ class UploadFile(BaseModel):
     says the same twice, since an answer did not come, gets what the first began.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     path: FilePath
     size_bytes: Annotated[int, Field(ge=0, le=MAX_FILE_BYTES)]
     sha256: Sha256 | None = None
@@ -75,28 +74,22 @@ class UploadFile(BaseModel):
     upload_id: uuid.UUID | None = None
 
 
-class UploadBegin(BaseModel):
+class UploadBegin(Request):
     """Files to upload into one mission."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     files: Annotated[list[UploadFile], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
 
-class HeldPart(BaseModel):
+class HeldPart(Response):
     """A part that the store already holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     number: PartNumber
     size_bytes: int
     etag: str
 
 
-class UploadRead(BaseModel):
+class UploadRead(Response):
     """An upload under way. `parts` are those the store holds, in order; empty for one that has just begun."""
-
-    model_config = ConfigDict(frozen=True)
 
     id: uuid.UUID
     mission_id: uuid.UUID
@@ -110,10 +103,8 @@ class UploadRead(BaseModel):
     parts: list[HeldPart] = []
 
 
-class SignedPart(BaseModel):
+class SignedPart(Response):
     """PUT the part's bytes to `url` with exactly these headers, before `expires_at`."""
-
-    model_config = ConfigDict(frozen=True)
 
     upload_id: uuid.UUID
     number: PartNumber
@@ -122,50 +113,40 @@ class SignedPart(BaseModel):
     expires_at: datetime.datetime
 
 
-class Send(BaseModel):
+class Send(Response):
     """Send the parts that `upload` does not list.
 
     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     decision: Literal["send"] = "send"
     upload: UploadRead
     part: SignedPart | None = None
 
 
-class Present(BaseModel):
+class Present(Response):
     """The mission already has this very file under this name: nothing to send. `file` is null for who may not read."""
-
-    model_config = ConfigDict(frozen=True)
 
     decision: Literal["present"] = "present"
     file: FileRead | None
 
 
-class Linked(BaseModel):
+class Linked(Response):
     """The same bytes are kept already and you may read them: the file now exists, nothing to send."""
-
-    model_config = ConfigDict(frozen=True)
 
     decision: Literal["linked"] = "linked"
     file: FileRead
 
 
-class HashFirst(BaseModel):
+class HashFirst(Response):
     """Something of this name or size is kept already: ask again with the sha256."""
-
-    model_config = ConfigDict(frozen=True)
 
     decision: Literal["hash_first"] = "hash_first"
     path: str
 
 
-class Refused(BaseModel):
+class Refused(Response):
     """This file cannot be uploaded; the others can."""
-
-    model_config = ConfigDict(frozen=True)
 
     decision: Literal["refused"] = "refused"
     path: str
@@ -175,28 +156,22 @@ class Refused(BaseModel):
 UploadDecision = Annotated[Present | Linked | HashFirst | Send | Refused, Field(discriminator="decision")]
 
 
-class UploadDecisions(BaseModel):
+class UploadDecisions(Response):
     """One decision a file, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[UploadDecision]
 
 
-class PartToSign(BaseModel):
+class PartToSign(Request):
     """A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     upload_id: uuid.UUID
     number: PartNumber
     checksum: Annotated[str, Field(pattern=r"^([0-9a-f]{16}|[0-9a-f]{32}|[0-9a-f]{64})$")]
 
 
-class PartsSign(BaseModel):
+class PartsSign(Request):
     """Parts to sign, of one or several uploads: many small files take one request."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     parts: Annotated[list[PartToSign], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
@@ -207,46 +182,36 @@ class PartsSign(BaseModel):
         return self
 
 
-class SignedParts(BaseModel):
+class SignedParts(Response):
     """Signed parts, in the order asked; asking also renews the leases of their uploads."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[SignedPart]
 
 
-class UploadFinish(BaseModel):
+class UploadFinish(Request):
     """An upload whose parts are all sent; the hashes are of the whole file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     upload_id: uuid.UUID
     sha256: Sha256
     crc64nvme: Crc64
 
 
-class UploadsComplete(BaseModel):
+class UploadsComplete(Request):
     """Uploads to finish."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     uploads: Annotated[list[UploadFinish], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
 
-class Completed(BaseModel):
+class Completed(Response):
     """The store agreed; the file exists. It is null for who may not read, where another brought the same bytes."""
-
-    model_config = ConfigDict(frozen=True)
 
     outcome: Literal["completed"] = "completed"
     upload_id: uuid.UUID
     file: FileRead | None
 
 
-class NotCompleted(BaseModel):
+class NotCompleted(Response):
     """The upload could not be finished; the problem says why and what to do."""
-
-    model_config = ConfigDict(frozen=True)
 
     outcome: Literal["refused"] = "refused"
     upload_id: uuid.UUID
@@ -256,9 +221,7 @@ class NotCompleted(BaseModel):
 UploadOutcome = Annotated[Completed | NotCompleted, Field(discriminator="outcome")]
 
 
-class UploadOutcomes(BaseModel):
+class UploadOutcomes(Response):
     """One outcome an upload, in the order asked."""
-
-    model_config = ConfigDict(frozen=True)
 
     items: list[UploadOutcome]

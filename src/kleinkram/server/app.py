@@ -3,15 +3,12 @@
 import logging
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
-from kleinkram.server.access.owner import let_owner_in
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
@@ -27,7 +24,6 @@ from kleinkram.server.db import open_database
 from kleinkram.server.dependencies import asks_who
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
-from kleinkram.server.failures import described
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.grants.routes import router as grants
 from kleinkram.server.groups.affiliations import ensure_affiliations
@@ -40,6 +36,7 @@ from kleinkram.server.jobs.queue import queue
 from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
+from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
 from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
@@ -90,14 +87,11 @@ ROUTERS = (
 )
 
 
-class _Described(FastAPI):
-    """An app whose description says of each operation how it may fail."""
-
-    def openapi(self) -> dict[str, Any]:
-        """Return the description, made once."""
-        if self.openapi_schema is None:
-            self.openapi_schema = described(super().openapi())
-        return self.openapi_schema
+# Any operation may fail with any code: clients branch on the code (RFC 9457), whose closed list the schema states.
+_PROBLEM = {
+    "description": "A failure as a problem document (RFC 9457); `code` says which.",
+    "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
+}
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -135,7 +129,7 @@ def create_app(settings: Settings) -> FastAPI:
             await database.close()
 
     see_that_all_are_guarded(ROUTERS)
-    app = _Described(
+    app = FastAPI(
         title="Kleinkram",
         version=kleinkram.__version__,
         summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
@@ -144,8 +138,7 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
         docs_url=None,
         redoc_url=None,
-        # Told for each operation by its codes (`failures`); said here, so that its schema is among those told.
-        responses={"default": {"model": ProblemDocument}},
+        responses={"default": _PROBLEM},
     )
     app.state.settings = settings
     app.state.queue = queue

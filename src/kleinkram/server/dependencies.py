@@ -14,10 +14,10 @@ from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.rights import admit, is_door, require_fresh_sign_in, still_shares
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.places import named
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.rates import limit_expensive
+from kleinkram.server.rate_limit import limit_expensive
 from kleinkram.server.settings import Settings
-from kleinkram.server.site import Site
 from kleinkram.server.storage import Storage
 
 _bearer = HTTPBearer(auto_error=False, description="A Kleinkram token.")
@@ -43,8 +43,8 @@ CurrentDatabase = Annotated[Database, Depends(_database)]
 CurrentStorage = Annotated[Storage, Depends(_storage)]
 
 
-async def _site(database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings) -> Site:
-    return Site(database, storage, settings)
+async def _context(database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings) -> AppContext:
+    return AppContext(database, storage, settings)
 
 
 async def _actor(
@@ -158,7 +158,7 @@ async def _reading(database: CurrentDatabase, _known: CurrentActor) -> AsyncIter
         yield connection
 
 
-CurrentSite = Annotated[Site, Depends(_site)]
+CurrentSite = Annotated[AppContext, Depends(_context)]
 # scope="function": committed before the answer leaves, so that nobody reads their own write too early.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
 # For routes that change nothing, and set nothing for the rest of a transaction.

@@ -23,10 +23,10 @@ from kleinkram.contract.errors import (
     NotFound,
     RateLimited,
     WrongClient,
-    to_problem,
 )
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.wording import message_of
-from kleinkram.server import measures
+from kleinkram.server import metrics
 from kleinkram.server.audit.places import named
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.db import was_cut_off
@@ -125,9 +125,9 @@ class Envelope:
     def _account(scope: Scope, status: int, seconds: float, request_id: str) -> None:
         route = scope.get("route")
         path = getattr(route, "path", "unmatched")
-        measures.REQUESTS.labels(scope["method"], path, str(status)).inc()
+        metrics.REQUESTS.labels(scope["method"], path, str(status)).inc()
         if "is_stream" not in scope["state"]:
-            measures.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
+            metrics.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
         if path.startswith("/health") and status < 500:
             return
         shown = _shown(scope["path"])

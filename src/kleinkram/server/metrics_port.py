@@ -17,7 +17,7 @@ from psycopg.conninfo import make_conninfo
 from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import DatabaseUnavailable
-from kleinkram.server import measures
+from kleinkram.server import metrics
 from kleinkram.server.db import Database
 from kleinkram.server.health.recent import Recent
 from kleinkram.server.settings import Settings, plain_dsn
@@ -46,7 +46,7 @@ class _SiteGauges:
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
-        self._recent = Recent(lambda: measures.look(database), holds_s=_HOLDS_S)
+        self._recent = Recent(lambda: metrics.look(database), holds_s=_HOLDS_S)
         self._turn = asyncio.Lock()
         self._connection: psycopg.AsyncConnection[tuple[object, ...]] | None = None
         self._release: asyncio.TimerHandle | None = None
@@ -103,12 +103,12 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
         return
     gauges = _SiteGauges(settings, database)
 
-    async def metrics(_request: web.Request) -> web.Response:
-        body = measures.exposition(await gauges.look())
+    async def respond(_request: web.Request) -> web.Response:
+        body = metrics.exposition(await gauges.look())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
     app = web.Application()
-    app.router.add_get("/metrics", metrics)
+    app.router.add_get("/metrics", respond)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=1)
     await runner.setup()
     try:

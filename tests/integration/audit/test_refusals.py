@@ -8,16 +8,16 @@ import pytest
 
 from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.rights import Right
-from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.context import AppContext
 from kleinkram.server.dependencies import CurrentActor, Transaction
-from kleinkram.server.site import Site
+from kleinkram.server.people.local_owner import ensure_owner
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
+from tests.integration.upload_client import wait_until
 
 
 def _noted(api: Api, operation: str) -> list[Any]:
@@ -97,9 +97,9 @@ def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPa
 def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi) -> None:
     api = start_api()
 
-    async def replace(site: Site) -> None:
+    async def replace(context: AppContext) -> None:
         for _ in range(2):
-            async with site.database.begin() as db:
+            async with context.database.begin() as db:
                 await ensure_owner(db, "another secret")
 
     on_site(api, replace)

@@ -9,14 +9,14 @@ import pytest
 
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.auth.claiming import offer_claim
+from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.retention import forget_ended
-from kleinkram.server.site import Site
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 
 @pytest.fixture(name="server", scope="module")
@@ -32,8 +32,8 @@ def _fresh(server: Api) -> Api:
     return server
 
 
-async def _start(site: Site) -> None:
-    async with site.database.begin() as db:
+async def _start(context: AppContext) -> None:
+    async with context.database.begin() as db:
         await offer_claim(db)
 
 
@@ -132,8 +132,8 @@ def test_codes_and_logins_that_are_long_over_are_forgotten(api: Api) -> None:
     api.sql("UPDATE one_time_code SET expires_at = now() - interval '31 days' WHERE purpose = 'invitation'")
     kept = api.sql("SELECT count(*) FROM one_time_code WHERE purpose <> 'invitation'")
 
-    async def forget(site: Site) -> None:
-        async with site.database.begin() as db:
+    async def forget(context: AppContext) -> None:
+        async with context.database.begin() as db:
             await forget_ended(db)
 
     on_site(api, forget)

@@ -6,14 +6,14 @@ import pytest
 
 from kleinkram.contract.errors import RateLimited
 from kleinkram.contract.rights import Right
-from kleinkram.server import rates
-from kleinkram.server.site import Site
+from kleinkram.server import rate_limit
+from kleinkram.server.context import AppContext
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import USER_AGENT, Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 OTHER_PASSWORD = "a wholly different one"
 
@@ -219,7 +219,7 @@ def _guess(api: Api, email: str, password: str, address: str) -> int:
 
 
 def test_nobody_locks_an_account_for_its_owner(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rates, "_WINDOW", rates._WINDOW * 60 * 24 * 365)
+    monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
     api = start_api(sign_ins_per_minute=2, trusted_proxies=["127.0.0.1/32"])
     made = account(api)
     thief = [_guess(api, made.email, f"guess number {number}", "203.0.113.9") for number in range(4)]
@@ -230,15 +230,15 @@ def test_nobody_locks_an_account_for_its_owner(start_api: StartApi, monkeypatch:
 def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rates, "_WINDOW", rates._WINDOW * 60 * 24 * 365)
-    monkeypatch.setattr(rates, "_TURN", rates._TURN * 1000)
-    monkeypatch.setattr(rates, "_TURNS_AHEAD", 3)
+    monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
+    monkeypatch.setattr(rate_limit, "_TURN", rate_limit._TURN * 1000)
+    monkeypatch.setattr(rate_limit, "_TURNS_AHEAD", 3)
     waits: list[float] = []
     email = any_email()
 
-    async def ask(site: Site) -> None:
+    async def ask(context: AppContext) -> None:
         while True:
-            waits.append(await rates.turn_of(site.database, rates.Count("sign-ins", email, 2)))
+            waits.append(await rate_limit.turn_of(context.database, rate_limit.Count("sign-ins", email, 2)))
 
     with pytest.raises(RateLimited):
         on_site(start_api(), ask)

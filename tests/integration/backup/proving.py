@@ -7,9 +7,9 @@ from sqlalchemy import select
 from kleinkram.server.blobs import scrubs
 from kleinkram.server.blobs.proving import read_through
 from kleinkram.server.blobs.scrubbing import scrub_store
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.settings import Settings
-from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
 from kleinkram.server.tables import blob, person
 
@@ -21,21 +21,21 @@ def complaints(settings: Settings) -> list[str]:
         database = open_database(settings)
         try:
             async with open_storage(settings) as storage:
-                site = Site(database, storage, settings)
-                return [*await _scrub(site), *await _read(site)]
+                context = AppContext(database, storage, settings)
+                return [*await _scrub(context), *await _read(context)]
         finally:
             await database.close()
 
     return asyncio.run(go())
 
 
-async def _scrub(site: Site) -> list[str]:
-    async with site.database.begin() as db:
+async def _scrub(context: AppContext) -> list[str]:
+    async with context.database.begin() as db:
         anybody = (await db.execute(select(person.c.id).limit(1))).scalar_one()
-        begun = await scrubs.ask_for_scrub(db, site.settings.store_id, by_id=anybody, believes=False)
-    await scrub_store(site, begun.id)
-    async with site.database.begin() as db:
-        last = await scrubs.last_scrub(db, site.settings.store_id)
+        begun = await scrubs.ask_for_scrub(db, context.settings.store_id, by_id=anybody, believes=False)
+    await scrub_store(context, begun.id)
+    async with context.database.begin() as db:
+        last = await scrubs.last_scrub(db, context.settings.store_id)
     assert last is not None
     assert last.ended_at is not None
     assert last.compared > 0
@@ -43,8 +43,8 @@ async def _scrub(site: Site) -> list[str]:
     return [f"{what}: {value}" for what, value in found.items() if value]
 
 
-async def _read(site: Site) -> list[str]:
-    async with site.database.begin() as db:
+async def _read(context: AppContext) -> list[str]:
+    async with context.database.begin() as db:
         blobs = (await db.execute(select(blob).where(blob.c.doomed_at.is_(None)))).all()
-    found = [(each.key, (await read_through(site, each.key)).differs_from(each)) for each in blobs]
+    found = [(each.key, (await read_through(context, each.key)).differs_from(each)) for each in blobs]
     return [f"{key}: {difference}" for key, difference in found if difference]

@@ -7,13 +7,13 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
+from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.jobs import drain, on_site
-from tests.integration.running import Api
-from tests.integration.uploading import begin
+from tests.integration.upload_client import begin
 
 _LONG_S = 3600.0
 _Work = Callable[[Courtesy], Awaitable[None]]
@@ -36,8 +36,8 @@ def _upload_id(api: Api) -> str:
 
 
 def _with_courtesy(api: Api, work: _Work) -> None:
-    async def on(site: Site) -> None:
-        await work(Courtesy(site.database, site.settings))
+    async def on(context: AppContext) -> None:
+        await work(Courtesy(context.database, context.settings))
 
     on_site(api, on)
 
@@ -98,12 +98,12 @@ def test_grouping_waits_from_when_it_was_asked_for(api: Api, upload_id: str, mon
     monkeypatch.setattr(recording_jobs, "SUMMARY_PATIENCE_S", _LONG_S)
     mission_id = uuid.UUID(api.mission(api.project()["id"])["id"])
 
-    async def ask(site: Site) -> None:
-        async with site.database.begin() as db:
+    async def ask(context: AppContext) -> None:
+        async with context.database.begin() as db:
             await regroup(db, mission_id)
 
-    async def work(site: Site) -> None:
-        await asyncio.wait_for(drain(site, Courtesy(site.database, site.settings)), 20)
+    async def work(context: AppContext) -> None:
+        await asyncio.wait_for(drain(context, Courtesy(context.database, context.settings)), 20)
 
     on_site(api, ask)
     api.sql("UPDATE procrastinate_events SET at = at - interval '2 h'")

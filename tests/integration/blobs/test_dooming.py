@@ -5,17 +5,17 @@ import uuid
 import pytest
 
 from kleinkram.server.blobs import service
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _ORPHANS = 100
 
 
-async def _doom(site: Site) -> int:
-    async with site.database.begin() as db:
+async def _doom(context: AppContext) -> int:
+    async with context.database.begin() as db:
         return await service.doom_unreferenced(db, limit=1000)
 
 

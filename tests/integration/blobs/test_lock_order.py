@@ -8,12 +8,12 @@ import pytest
 
 from kleinkram.recordings import Content, RecordingFormat, RecordingSummary
 from kleinkram.server.blobs import service
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, upload
+from tests.integration.upload_client import begin, upload
 
 _Keep = Callable[[Connection, uuid.UUID], Awaitable[None]]
 
@@ -38,8 +38,8 @@ def test_a_blob_is_linked_while_what_it_holds_is_kept(api: Api, keep: _Keep, lin
         return str(begin(api, mission_id, {"b.bin": body})[0]["decision"])
 
     def read() -> str:
-        async def work(site: Site) -> str:
-            async with site.database.begin() as db:
+        async def work(context: AppContext) -> str:
+            async with context.database.begin() as db:
                 await keep(db, blob_id)
             return "kept"
 
@@ -64,8 +64,8 @@ def test_a_file_begins_when_its_blob_does_whichever_of_reading_and_linking_came_
         assert begin(api, mission_id, {"b.bin": body})[0]["decision"] == "linked"
 
     def keep() -> None:
-        async def work(site: Site) -> None:
-            async with site.database.begin() as db:
+        async def work(context: AppContext) -> None:
+            async with context.database.begin() as db:
                 await service.keep_summary(db, blob_id, read)
 
         on_site(api, work)

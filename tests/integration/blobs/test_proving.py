@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from kleinkram.server.blobs.proving import read_through
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.fault_proxy import Cut, Middleman, ProxiedRequest, Reply, Rule, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, Middleman, Reply, Rule, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
-from tests.stack import RunningStore
+from tests.integration.upload_client import upload
+from tests.services import RunningStore
 
 
 def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -> None:
@@ -25,13 +25,13 @@ def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -
     async def stop(_piece: bytes) -> None:
         raise RuntimeError("enough")
 
-    async def work(site: Site) -> None:
+    async def work(context: AppContext) -> None:
         with pytest.raises(RuntimeError, match="enough"):
-            await read_through(site, key, stop)
-        connector = site.storage._s3._session.connector
+            await read_through(context, key, stop)
+        connector = context.storage._s3._session.connector
         assert connector is not None
         assert len(connector._acquired) == 0
-        assert (await read_through(site, key)).size_bytes == len(body)
+        assert (await read_through(context, key)).size_bytes == len(body)
 
     on_site(api, work)
 
@@ -93,7 +93,7 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
-def _all_fail(asked: Asked) -> Reply | None:
+def _all_fail(asked: ProxiedRequest) -> Reply | None:
     return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
 
 

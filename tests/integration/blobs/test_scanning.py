@@ -16,11 +16,11 @@ from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
 from kleinkram.server.settings import Settings
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
+from tests.integration.fault_proxy import Cut, ProxiedRequest, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 _MOST_AT_ONCE = 64 * 1024 * 1024
 
@@ -131,7 +131,7 @@ def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, missi
     settings: Settings = api.app.state.settings
     cut: list[str] = []
 
-    def break_off(asked: Asked) -> Cut | None:
+    def break_off(asked: ProxiedRequest) -> Cut | None:
         if asked.method != "GET" or not asked.key.endswith(key):
             return None
         cut.append(asked.key)

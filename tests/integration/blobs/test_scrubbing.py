@@ -10,12 +10,12 @@ import pytest
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.blobs import scrubbing, scrubs
 from kleinkram.server.blobs.jobs import sweep_once
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 from kleinkram.server.storage import Storage
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import begin, fetch, send, upload, upload_all, wait_until
+from tests.integration.upload_client import begin, fetch, send, upload, upload_all, wait_until
 
 _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo' AND priority < 0"
 
@@ -32,7 +32,7 @@ def _key(api: Api, file_id: str) -> str:
 
 def _scrub(api: Api, **wanted: Any) -> Any:
     scrub_id = uuid.UUID(api.post("/admin/scrub", wanted).ok(202)["id"])
-    on_site(api, lambda site: scrubbing.scrub_store(site, scrub_id))
+    on_site(api, lambda context: scrubbing.scrub_store(context, scrub_id))
     return api.get("/admin/scrub").ok()["last"]
 
 
@@ -43,11 +43,11 @@ def _counts(last: Any) -> tuple[int, int, int]:
 
 
 def _put(api: Api, key: str, body: bytes) -> None:
-    on_site(api, lambda site: site.storage.put_small(key, body))
+    on_site(api, lambda context: context.storage.put_small(key, body))
 
 
 def _remove(api: Api, key: str) -> None:
-    on_site(api, lambda site: site.storage.delete(key))
+    on_site(api, lambda context: context.storage.delete(key))
 
 
 def _read(api: Api, file: Any) -> Any:
@@ -157,7 +157,7 @@ def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi,
     api = start_api()
     mission_id = str(api.mission(api.project()["id"])["id"])
     files = _proven(api, mission_id, 12)
-    keys = list(on_site(api, lambda site: site.storage.sizes("")))
+    keys = list(on_site(api, lambda context: context.storage.sizes("")))
     for key in keys if how == "empty" else keys[1:]:
         _remove(api, key)
     last = _scrub(api)
@@ -177,7 +177,7 @@ def test_an_object_without_a_row_is_counted_and_left(start_api: StartApi) -> Non
     api = start_api()
     _put(api, "stray/object", b"abc")
     assert _scrub(api)["unknown"] == 1
-    assert on_site(api, lambda site: site.storage.sizes("")) == {"stray/object": 3}
+    assert on_site(api, lambda context: context.storage.sizes("")) == {"stray/object": 3}
 
 
 def test_what_comes_and_what_goes_meanwhile_is_not_lost(
@@ -198,14 +198,14 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
 
     monkeypatch.setattr(Storage, "pages", pages)
 
-    async def scrub_beside_a_sweep(site: Site) -> None:
-        async with site.database.begin() as db:
-            await scrubs.begin_due_scrub(db, site.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, site.settings.store_id)
+    async def scrub_beside_a_sweep(context: AppContext) -> None:
+        async with context.database.begin() as db:
+            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrubs.last_scrub(db, context.settings.store_id)
         assert row is not None
-        await scrubbing.scrub_store(site, row.id)
-        await sweep_once(site)
-        await sweep_once(site)
+        await scrubbing.scrub_store(context, row.id)
+        await sweep_once(context)
+        await sweep_once(context)
 
     on_site(api, scrub_beside_a_sweep)
     last = api.get("/admin/scrub").ok()["last"]
@@ -222,14 +222,14 @@ def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, mon
         yield {}
         raise StoreUnavailable(reason="it went away")
 
-    async def scrub(site: Site) -> None:
-        async with site.database.begin() as db:
-            await scrubs.begin_due_scrub(db, site.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, site.settings.store_id)
+    async def scrub(context: AppContext) -> None:
+        async with context.database.begin() as db:
+            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrubs.last_scrub(db, context.settings.store_id)
         assert row is not None
         monkeypatch.setattr(Storage, "pages", pages)
         with pytest.raises(StoreUnavailable):
-            await scrubbing.scrub_store(site, row.id)
+            await scrubbing.scrub_store(context, row.id)
         monkeypatch.undo()
 
     on_site(api, scrub)
@@ -268,9 +268,9 @@ def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
     assert "took its place" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
 
     def due(hours: float) -> int:
-        async def look(site: Site) -> None:
-            async with site.database.begin() as db:
-                await scrubs.begin_due_scrub(db, site.settings.model_copy(update={"scrub_hours": hours}))
+        async def look(context: AppContext) -> None:
+            async with context.database.begin() as db:
+                await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": hours}))
 
         on_site(api, look)
         return int(api.sql("SELECT count(*) FROM scrub")[0][0])

@@ -10,12 +10,12 @@ from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.events import hub as hubs
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.event_client import Ears, listening
 from tests.integration.jobs import run_jobs
-from tests.integration.listening import Ears, listening
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, send, upload, upload_all, wait_until
-from tests.stack import RunningPostgres
+from tests.integration.upload_client import begin, complete, send, upload, upload_all, wait_until
+from tests.services import RunningPostgres
 
 
 @pytest.fixture(scope="module")

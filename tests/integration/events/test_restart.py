@@ -10,10 +10,10 @@ import pytest
 
 from kleinkram.client import connect
 from kleinkram.contract.events import Change, Refetch, RefetchReason
-from tests.integration.listening import listening
-from tests.integration.running import serving
-from tests.integration.uploading import wait_until
-from tests.stack import RunningPostgres, RunningStore
+from tests.integration.api_server import serving
+from tests.integration.event_client import listening
+from tests.integration.upload_client import wait_until
+from tests.services import RunningPostgres, RunningStore
 
 
 @pytest.fixture

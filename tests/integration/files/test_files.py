@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 
@@ -54,8 +54,8 @@ def test_renaming_changes_the_path_and_nothing_else(api: Api, sample: Sample, mi
     file_id = sample.file(mission, "a.mcap")
     before = api.get(f"/files/{file_id}").ok()
     renamed = api.patch(f"/files/{file_id}", {"path": "bags/Cafe\u0301.mcap"}).ok()
-    assert renamed == {**before, "path": "bags/Café.mcap", "edition": renamed["edition"]}
-    assert renamed["edition"] != before["edition"]
+    assert renamed == {**before, "path": "bags/Café.mcap", "etag": renamed["etag"]}
+    assert renamed["etag"] != before["etag"]
     (event,) = api.events(file_id)
     assert (event["operation"], event["before"], event["after"]) == (
         "file.update",

@@ -9,9 +9,9 @@ import urllib3
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server import metrics_port
 from kleinkram.server.health import readiness, routes
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
+from tests.integration.upload_client import wait_until
 
 _POOL = urllib3.PoolManager(retries=False, timeout=20, maxsize=20)
 

@@ -13,8 +13,8 @@ import pytest
 
 from kleinkram.server import serving
 from kleinkram.server.serving import LimitedHttp, OpenConnections
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 _POST = b"POST /api/v1/auth/password HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
 _BEGUN_BODY = _POST + b"Content-Length: 60000\r\n\r\n{"

@@ -12,13 +12,13 @@ from kleinkram.client._http import Api as ClientApi
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.contract.errors import NotFound, RateLimited
 from kleinkram.contract.files import DownloadLinks, DownloadRequest
-from kleinkram.server import rates
-from kleinkram.server.rates import Count, forget_counts, limit
-from kleinkram.server.site import Site
+from kleinkram.server import rate_limit
+from kleinkram.server.context import AppContext
+from kleinkram.server.rate_limit import Count, forget_counts, limit
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 _KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
 
@@ -27,7 +27,7 @@ _KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
 def strict(start_api: StartApi) -> Iterator[Api]:
     """An API that allows three of each kind, in a window that does not end meanwhile."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(rates, "_WINDOW", rates._WINDOW * 60 * 24 * 365)
+        patched.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
         yield start_api(**{f"{kind}_per_minute": 3 for kind in _KINDS})
 
 
@@ -54,7 +54,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
         assert api.call(method, path, body).status in {200, 404}
     answer = api.call(method, path, body)
     problem = answer.refused(429, "rate_limited")
-    assert (problem["what"], problem["most"], problem["per_s"]) == (what, 3, 60)
+    assert (problem["what"], problem["limit"], problem["window_s"]) == (what, 3, 60)
     assert int(answer.headers["retry-after"]) == problem["retry_after_s"] > 0
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 
@@ -110,8 +110,8 @@ def test_those_who_ask_at_once_are_all_counted(strict: Api) -> None:
 
 
 def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
-    async def count(site: Site) -> None:
-        await limit(site.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5))
+    async def count(context: AppContext) -> None:
+        await limit(context.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5))
 
     on_site(strict, count)
     keys = [key for (key,) in strict.sql("SELECT key FROM rate_count WHERE key LIKE %s", "sign-ins:%")]
@@ -120,16 +120,16 @@ def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
 
 
 def test_without_a_limit_nothing_is_counted(strict: Api) -> None:
-    async def count(site: Site) -> None:
+    async def count(context: AppContext) -> None:
         for _ in range(100):
-            await limit(site.database, Count("x", "y", 0))
+            await limit(context.database, Count("x", "y", 0))
 
     on_site(strict, count)
     assert strict.sql("SELECT count(*) FROM rate_count WHERE key LIKE %s", "x:%") == [(0,)]
 
 
 def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rates, "_WINDOW", datetime.timedelta(seconds=60))
+    monkeypatch.setattr(rate_limit, "_WINDOW", datetime.timedelta(seconds=60))
     api = start_api(searches_per_minute=1)
     api.sql(
         "INSERT INTO rate_count (key, window_start, count)"
@@ -137,8 +137,8 @@ def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest
         " FROM generate_series(1, 5) AS m"
     )
 
-    async def forget(site: Site) -> None:
-        async with site.database.begin() as db:
+    async def forget(context: AppContext) -> None:
+        async with context.database.begin() as db:
             await forget_counts(db)
 
     api.get("/stats").ok()

@@ -12,16 +12,16 @@ from pydantic import ValidationError
 from sqlalchemy import text
 
 from kleinkram.server.access.actor import find_actor
+from kleinkram.server.context import AppContext
 from kleinkram.server.dependencies import Transaction
 from kleinkram.server.logs import JsonLines, quiet_libraries
 from kleinkram.server.settings import Settings
-from kleinkram.server.site import Site
+from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Answer, Api
-from tests.integration.uploading import begin, complete, parts_of, put, sign
+from tests.integration.upload_client import begin, complete, parts_of, put, sign
 
 
 class Story:
@@ -186,8 +186,8 @@ def _crash(story: Story) -> None:
     assert any("DivisionByZero" in line for line in story.lines)
 
 
-async def _owner(site: Site, token: str) -> str:
-    async with site.database.begin() as db:
+async def _owner(context: AppContext, token: str) -> str:
+    async with context.database.begin() as db:
         return repr(await find_actor(db, token))
 
 
@@ -199,8 +199,8 @@ def test_what_objects_say_of_themselves_holds_no_secret(api: Api) -> None:
         _password(settings),
         str(api.token),
     ]
-    shown = f"{settings!r} {settings} {on_site(api, lambda site: _said(site))}"
-    shown += on_site(api, lambda site: _owner(site, str(api.token)))
+    shown = f"{settings!r} {settings} {on_site(api, lambda context: _said(context))}"
+    shown += on_site(api, lambda context: _owner(context, str(api.token)))
     assert [secret for secret in hidden if secret in shown] == []
 
 
@@ -208,8 +208,8 @@ def _password(settings: Settings) -> str:
     return str(settings.database_url.hosts()[0]["password"])
 
 
-async def _said(site: Site) -> str:
-    return f"{site!r} {site.database!r} {site.database.engine!r} {site.storage!r}"
+async def _said(context: AppContext) -> str:
+    return f"{context!r} {context.database!r} {context.database.engine!r} {context.storage!r}"
 
 
 def test_a_wrong_setting_is_named_without_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

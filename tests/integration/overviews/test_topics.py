@@ -12,12 +12,12 @@ import pytest
 from kleinkram import connect
 from kleinkram.recordings.density import count_stamps, pack
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.server.context import AppContext
 from kleinkram.server.recordings.service import regroup_forgotten
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -182,8 +182,8 @@ def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sam
     _put(sample, mission_id, "a.mcap", _times("/imu", [T0, T0 + S]))
     api.sql("UPDATE mission SET files_revision = 1, derived_revision = 1 WHERE id = %s", mission_id)
 
-    async def look_after(site: Site) -> None:
-        async with site.database.begin() as db:
+    async def look_after(context: AppContext) -> None:
+        async with context.database.begin() as db:
             await regroup_forgotten(db, limit=1000)
 
     on_site(api, look_after)

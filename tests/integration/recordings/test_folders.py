@@ -11,16 +11,16 @@ from sqlalchemy import event
 
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
+from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
 from kleinkram.server.recordings.rests import Rests
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 # What is odd about the whole; what is odd inside one file, the server tells with the file.
 _OF_THE_WHOLE = ("metadata-", "member-", "topic-types-differ")
@@ -79,10 +79,10 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
     topic = {"name": "/imu", "message_type": "sensor_msgs/msg/Imu", "count": 5}
     counts: list[int] = []
 
-    async def derive(site: Site) -> list[Derived]:
+    async def derive(context: AppContext) -> list[Derived]:
         seen: list[str] = []
-        event.listen(site.database.engine.sync_engine, "before_cursor_execute", lambda *told: seen.append(told[2]))
-        async with site.database.begin() as db:
+        event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *told: seen.append(told[2]))
+        async with context.database.begin() as db:
             found = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
         counts.append(len(seen))
         return found
@@ -120,7 +120,7 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
     upload_all(api, mission_id, {"b.mcap": _BROKEN + b"2"})
     rests = Rests()
     rests.took(uuid.UUID(mission_id), 5.0)
-    on_site(api, lambda site: _drain_courteously(site, rests))
+    on_site(api, lambda context: _drain_courteously(context, rests))
     waiting = (
         "SELECT id, scheduled_at - now() > interval '15 s' FROM procrastinate_jobs"
         " WHERE status = 'todo' AND args ->> 'ref' = %s"
@@ -136,10 +136,10 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
     assert len(api.all(f"/missions/{mission_id}/recordings")) == 3
 
 
-async def _drain_courteously(site: Site, rests: Rests) -> None:
-    courtesy = Courtesy(site.database, site.settings)
+async def _drain_courteously(context: AppContext, rests: Rests) -> None:
+    courtesy = Courtesy(context.database, context.settings)
     courtesy.end()
-    await drain(site, courtesy, rests)
+    await drain(context, courtesy, rests)
 
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:

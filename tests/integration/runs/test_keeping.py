@@ -7,16 +7,16 @@ import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MOST_STREAMS
 from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.site import Site
 from kleinkram.server.storage import Storage
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Place, Played, another, launch
-from tests.integration.uploading import crc64, send, sha256, wait_until
+from tests.integration.upload_client import crc64, send, sha256, wait_until
 
 
 def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:
@@ -44,7 +44,7 @@ def test_what_a_run_left_stays_until_its_mission_goes(lab: Api, runner: Played, 
     assert len(blobs) == 2
     on_site(lab, _sweep)
     assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(2,)]
-    assert lab.sql("SELECT count(*) FROM log_segment WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
+    assert lab.sql("SELECT count(*) FROM log_chunk WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
     lab.delete(f"/missions/{place.mission['id']}").ok()
     lab.sql("UPDATE upload SET cleaned_at = now() WHERE mission_id = %s", place.mission["id"])
     lab.sql("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = %s", place.mission["id"])
@@ -168,8 +168,8 @@ def test_a_piece_of_a_log_that_goes_while_it_is_read_is_looked_for_anew(
 def test_a_log_that_the_store_has_lost_is_said_to_be_away(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.write(runner.claim(), 0, b"a line\n")
-    ((key,),) = lab.sql("SELECT key FROM log_segment WHERE run_id = %s", made["id"])
-    on_site(lab, lambda site: site.storage.delete(key))
+    ((key,),) = lab.sql("SELECT key FROM log_chunk WHERE run_id = %s", made["id"])
+    on_site(lab, lambda context: context.storage.delete(key))
     lab.get(f"/runs/{made['id']}/log").refused(503, "store_unavailable")
 
 
@@ -188,9 +188,9 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
     return [row[0] for row in left + lab.sql("SELECT log_blob_id FROM run WHERE id = %s", run_id)]
 
 
-async def _sweep(site: Site) -> None:
-    await tend_once(site)
-    await sweep_once(site)
+async def _sweep(context: AppContext) -> None:
+    await tend_once(context)
+    await sweep_once(context)
 
 
 def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
@@ -239,4 +239,4 @@ def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: Played, pl
             noted = f'["run_log", "changed", "{other["id"]}", null, "{place.mission["id"]}", null]'
             lab.sql("SELECT pg_notify('kleinkram_changes', %s)", noted)
         reader.join()
-    assert len([each for each in statements if "log_segment" in each]) < 10
+    assert len([each for each in statements if "log_chunk" in each]) < 10

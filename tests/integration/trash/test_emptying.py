@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 from kleinkram.server.trash.emptying import empty_trash
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 
@@ -26,8 +26,8 @@ def _tree(own: Api) -> dict[str, str]:
 
 
 def _empty(api: Api, *, limit: int = 100) -> None:
-    async def work(site: Site) -> None:
-        async with site.database.begin() as db:
+    async def work(context: AppContext) -> None:
+        async with context.database.begin() as db:
             await empty_trash(db, older_than_days=30, limit=limit)
 
     on_site(api, work)

@@ -11,11 +11,11 @@ from sqlalchemy import text
 
 from kleinkram.server.blobs import jobs
 from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.site import Site
 from kleinkram.server.storage import open_storage
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 T = TypeVar("T")
 _ALL_BLOBS = text("UPDATE blob SET content = 'opaque', summarised_at = now() WHERE doomed_at IS NULL RETURNING id")
@@ -29,21 +29,21 @@ class SiteThread:
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         self._ended = asyncio.Event()
-        ready: asyncio.Future[Site] = asyncio.Future(loop=self._loop)
+        ready: asyncio.Future[AppContext] = asyncio.Future(loop=self._loop)
         self._task = asyncio.run_coroutine_threadsafe(self._stay(api, ready), self._loop)
-        self.site = asyncio.run_coroutine_threadsafe(_result(ready), self._loop).result(30)
+        self.context = asyncio.run_coroutine_threadsafe(_result(ready), self._loop).result(30)
 
-    async def _stay(self, api: Api, ready: "asyncio.Future[Site]") -> None:
+    async def _stay(self, api: Api, ready: "asyncio.Future[AppContext]") -> None:
         settings = api.app.state.settings
         database = open_database(settings, statement_timeout_s=None)
         async with open_storage(settings) as storage:
-            ready.set_result(Site(database, storage.with_abilities(api.app.state.storage.abilities), settings))
+            ready.set_result(AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings))
             await self._ended.wait()
         await database.close()
 
-    def run(self, work: Callable[[Site], Coroutine[Any, Any, T]]) -> T:
+    def run(self, work: Callable[[AppContext], Coroutine[Any, Any, T]]) -> T:
         """Do something with the site."""
-        return asyncio.run_coroutine_threadsafe(work(self.site), self._loop).result(60)
+        return asyncio.run_coroutine_threadsafe(work(self.context), self._loop).result(60)
 
     def close(self) -> None:
         """Let go of everything."""
@@ -53,19 +53,19 @@ class SiteThread:
         self._thread.join(30)
 
 
-async def _result(ready: "asyncio.Future[Site]") -> Site:
+async def _result(ready: "asyncio.Future[AppContext]") -> AppContext:
     return await ready
 
 
-async def prove_all(site: Site) -> None:
+async def prove_all(context: AppContext) -> None:
     """Read every blob, as the worker does on its last try. All are bytes and no recording: nothing reads along."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
-    courtesy = Courtesy(site.database, site.settings)
+    courtesy = Courtesy(context.database, context.settings)
     courtesy.end()
     async with Readers() as readers:
-        given = {"site": site, "courtesy": courtesy, "readers": readers}
+        given = {"site": context, "courtesy": courtesy, "readers": readers}
         job = SimpleNamespace(attempts=99, priority=0)
-        context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
+        job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
         for blob_id in rows:
-            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(context, ref=str(blob_id))
+            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(job_context, ref=str(blob_id))

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 
 from kleinkram.server.blobs import jobs, scrubbing
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 from kleinkram.server.uploads.jobs import tend_uploads
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, send, sha256
+from tests.integration.api_server import Api
+from tests.integration.upload_client import begin, complete, send, sha256
 from tests.integration.uploads.behind import SiteThread, prove_all
 
 _PAGE = Path(__file__).parents[3] / "docs" / "states.md"
@@ -42,7 +42,7 @@ class Machine(RuleBasedStateMachine):
     """What people, jobs and a lying store do to one mission, in any order."""
 
     api: Api
-    site: SiteThread
+    context: SiteThread
     uploads: Bundle[Upload] = Bundle("uploads")
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Machine(RuleBasedStateMachine):
         for table in ("upload", "file", "blob"):
             self.api.sql(f"DELETE FROM {table}")
         for key in self._keys():
-            self.site.run(partial(_delete, key=key))
+            self.context.run(partial(_delete, key=key))
 
     # What people do.
 
@@ -149,7 +149,7 @@ class Machine(RuleBasedStateMachine):
         """Let all that is under way lapse, and clean up after it; then nothing is reserved."""
         self.lapse()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
-        self.site.run(lambda site: tend_uploads(site, stale_s=0))
+        self.context.run(lambda context: tend_uploads(context, stale_s=0))
         told = self.api.get(f"/projects/{self.project_id}").ok()
         assert (told["used_files"], told["used_bytes"]) == (told["file_count"], told["size_bytes"])
 
@@ -164,19 +164,19 @@ class Machine(RuleBasedStateMachine):
     def sweep(self) -> None:
         """Doom what nothing refers to, then delete it."""
         for _ in range(2):
-            self.site.run(jobs.sweep_once)
+            self.context.run(jobs.sweep_once)
 
     @rule()
     def prove(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
-        self.site.run(prove_all)
+        self.context.run(prove_all)
         self._see_what_is_told({"whole": "proven", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
-        self.site.run(lambda site: scrubbing.scrub_store(site, scrub_id))
+        self.context.run(lambda context: scrubbing.scrub_store(context, scrub_id))
         self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
@@ -205,9 +205,9 @@ class Machine(RuleBasedStateMachine):
         if not upload[0] or self._state(upload[0]) != "open" or (key := self._key(upload[0])) not in self._keys():
             return
         if what == "gone":
-            self.site.run(lambda site: site.storage.delete(key))
+            self.context.run(lambda context: context.storage.delete(key))
         else:
-            self.site.run(lambda site: site.storage.put_small(key, upload[1][:-1]))
+            self.context.run(lambda context: context.storage.put_small(key, upload[1][:-1]))
 
     @rule(place=st.integers(0, 2), what=st.sampled_from(["gone", "cut", "altered", "whole"]))
     def lie(self, place: int, what: str) -> None:
@@ -218,10 +218,10 @@ class Machine(RuleBasedStateMachine):
         key, digest = rows[place][1], rows[place][3]
         body = next(each for each in _BODIES if sha256(each) == digest)
         if what == "gone":
-            self.site.run(lambda site: site.storage.delete(key))
+            self.context.run(lambda context: context.storage.delete(key))
         else:
             put = {"cut": body[:-1], "altered": body[:-1] + b"\0", "whole": body}[what]
-            self.site.run(lambda site: site.storage.put_small(key, put))
+            self.context.run(lambda context: context.storage.put_small(key, put))
         self.done_to[key] = what
 
     # What is always true.
@@ -293,7 +293,7 @@ class Machine(RuleBasedStateMachine):
         )
 
     def _keys(self) -> dict[str, int]:
-        return self.site.run(lambda site: site.storage.sizes(""))
+        return self.context.run(lambda context: context.storage.sizes(""))
 
     def _state(self, upload: dict[str, Any]) -> str | None:
         rows = self.api.sql("SELECT state FROM upload WHERE id = %s", upload["id"])
@@ -321,5 +321,5 @@ class Machine(RuleBasedStateMachine):
             assert state == said.get(done, state), (done, state)
 
 
-async def _delete(site: Site, key: str) -> None:
-    await site.storage.delete(key)
+async def _delete(context: AppContext, key: str) -> None:
+    await context.storage.delete(key)

@@ -9,28 +9,28 @@ import pytest
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 from kleinkram.server.uploads import completion
 from kleinkram.server.uploads.jobs import tend_uploads
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, crc64, send, sha256, sign
+from tests.integration.upload_client import begin, complete, crc64, send, sha256, sign
 
 _PART = 5 * 1024 * 1024
 
 
 def _tend(api: Api) -> None:
-    on_site(api, lambda site: tend_uploads(site, stale_s=0))
+    on_site(api, lambda context: tend_uploads(context, stale_s=0))
 
 
 def _mark_only(api: Api, upload: Any, body: bytes) -> None:
     """Do what `complete` does up to its first commit, and die."""
 
-    async def mark(site: Site) -> None:
+    async def mark(context: AppContext) -> None:
         finish = UploadFinish(upload_id=upload["id"], sha256=sha256(body), crc64nvme=crc64(body))
         row = api.sql("SELECT person_id FROM upload WHERE id = %s", upload["id"])[0]
-        async with site.database.begin() as db:
+        async with context.database.begin() as db:
             await completion._mark(db, Actor(row[0], "owner", None, None), [finish], {})
 
     on_site(api, mark)
@@ -56,7 +56,7 @@ def test_a_crash_after_the_store_joined_the_parts_is_finished_too(api: Api, miss
     _mark_only(api, upload, body)
     key, multipart_id = api.sql("SELECT key, multipart_id FROM upload WHERE id = %s", upload["id"])[0]
     crc = bytes.fromhex(crc64(body))
-    on_site(api, lambda site: site.storage.complete_multipart(key, multipart_id, count=2, crc64nvme=crc))
+    on_site(api, lambda context: context.storage.complete_multipart(key, multipart_id, count=2, crc64nvme=crc))
     assert complete(api, upload, body)["outcome"] == "completed"
 
 
@@ -123,8 +123,8 @@ def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: 
     _tend(api)
     assert {row[0] for row in api.sql("SELECT state FROM upload")} == {"expired"}
     assert api.sql("SELECT count(*) FROM upload WHERE cleaned_at IS NULL") == [(0,)]
-    assert on_site(api, lambda site: site.storage.sizes("")) == {}
-    assert on_site(api, lambda site: site.storage.open_multiparts("")) == []
+    assert on_site(api, lambda context: context.storage.sizes("")) == {}
+    assert on_site(api, lambda context: context.storage.open_multiparts("")) == []
     sign(api, uploads[1], [(1, small)]).refused(410, "upload_gone")
     assert begin(api, mission_id, {"small": small})[0]["decision"] == "send"
 
@@ -133,11 +133,11 @@ def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     key = api.sql("SELECT key FROM upload WHERE id = %s", upload["id"])[0][0]
-    on_site(api, lambda site: site.storage.begin_multipart(key))  # the answer of this one was lost
+    on_site(api, lambda context: context.storage.begin_multipart(key))  # the answer of this one was lost
     api.delete(f"/uploads/{upload['id']}").ok(204)
-    assert len(on_site(api, lambda site: site.storage.open_multiparts(key))) == 2
+    assert len(on_site(api, lambda context: context.storage.open_multiparts(key))) == 2
     _tend(api)
-    assert on_site(api, lambda site: site.storage.open_multiparts(key)) == []
+    assert on_site(api, lambda context: context.storage.open_multiparts(key)) == []
 
 
 def test_of_two_clients_that_race_for_a_name_one_wins_and_one_is_told(api: Api, mission_id: str) -> None:

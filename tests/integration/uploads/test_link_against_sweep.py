@@ -10,13 +10,13 @@ from sqlalchemy import ColumnElement, func, or_, text
 
 from kleinkram.server.blobs import queries, service
 from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.site import Site
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, send, upload, wait_until
+from tests.integration.upload_client import begin, complete, fetch, send, upload, wait_until
 
 # A name is taken by a change that is not made in the end: who wants it waits with all locks taken, and then has it.
 _HOLD_NAME = (
@@ -64,10 +64,10 @@ def _other(api: Api) -> _Twin:
 def _sweep(api: Api, rounds: int = 2) -> set[str]:
     """Sweep, and return what is at the store then: one round dooms what the next one takes."""
 
-    async def work(site: Site) -> set[str]:
+    async def work(context: AppContext) -> set[str]:
         for _ in range(rounds):
-            await sweep_once(site)
-        return set(await site.storage.sizes(""))
+            await sweep_once(context)
+        return set(await context.storage.sizes(""))
 
     return on_site(api, work)
 

@@ -33,7 +33,7 @@ def file_read(path: str, *, mission: str = "day", project: str = "alps", content
         "compression": [],
         "problems": [],
         "facts": [],
-        "edition": "0" * 16,
+        "etag": "0" * 16,
     }
     return FileRead.model_validate(given)
 
@@ -57,7 +57,7 @@ def mission_read(name: str, *, project: str = "alps") -> MissionRead:
     given: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
     given |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
     given |= {
-        "edition": "0" * 16,
+        "etag": "0" * 16,
         "id": uuid.uuid4(),
         "name": name,
         "project": ProjectRef(id=uuid.uuid4(), name=project),

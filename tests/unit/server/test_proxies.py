@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from kleinkram.server.proxies import asker, set_asker
-from kleinkram.server.rates import neighbourhood
+from kleinkram.server.rate_limit import neighbourhood
 from kleinkram.server.settings import Settings
 
 TRUSTED = [ipaddress.ip_network("10.0.0.0/8"), ipaddress.ip_network("fd00::/8")]

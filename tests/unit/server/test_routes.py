@@ -5,6 +5,7 @@ from fastapi import APIRouter
 from fastapi.routing import APIRoute
 from starlette.routing import Mount
 
+from kleinkram.contract.errors import ERRORS, ErrorCode
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.app import ROUTERS, create_app, see_that_all_are_guarded
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, asks_who
@@ -35,6 +36,17 @@ def test_every_route_of_the_api_is_in_the_schema_and_the_other_way_round() -> No
     assert described == served
     # The pages of signing in are for people, and where providers send them back to.
     assert {route.operation_id for route in _routes()} - served == {None, "end_provider_sign_in"}
+
+
+def test_every_operation_describes_its_failures_as_problems_with_a_closed_list_of_codes() -> None:
+    schema = create_app(Settings.model_validate(_SETTINGS)).openapi()
+    problem = {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}
+    for path in schema["paths"].values():
+        for operation in path.values():
+            assert operation["responses"]["default"]["content"] == {"application/problem+json": problem}
+            assert all(status.startswith(("2", "d")) for status in operation["responses"]), operation["operationId"]
+    assert schema["components"]["schemas"]["ErrorCode"]["enum"] == [code.value for code in ErrorCode]
+    assert set(ERRORS) == set(ErrorCode)
 
 
 def test_every_operation_has_a_route_or_is_what_another_turns_into() -> None:

@@ -16,7 +16,7 @@ from kleinkram.contract.actions import (
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.actions import service
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.editions import IfMatch
+from kleinkram.server.etags import IfMatch
 from kleinkram.server.pages import PageRequest
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
@@ -55,7 +55,7 @@ async def get_action(action_id: uuid.UUID, db: Reading, actor: CurrentActor) -> 
 async def update_action(
     action_id: uuid.UUID, changes: ActionUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Archive an action, or take it back. With If-Match, only where it is still of that edition."""
+    """Archive an action, or take it back. With If-Match, only where it is still of that ETag."""
     return await service.set_archived(db, actor, action_id=action_id, archived=changes.archived, if_match=if_match)
 
 
@@ -75,5 +75,5 @@ async def list_action_versions(
 async def publish_action_version(
     action_id: uuid.UUID, wanted: VersionCreate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Publish a further version of an action. With If-Match, only where it is still of that edition."""
+    """Publish a further version of an action. With If-Match, only where it is still of that ETag."""
     return await service.add_version(db, actor, action_id=action_id, definition=wanted.definition, if_match=if_match)

@@ -26,7 +26,7 @@ from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.editions import require_edition
+from kleinkram.server.etags import require_match
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version
@@ -88,7 +88,7 @@ async def add_version(
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but not change it.
         InvalidRequest: it has another name.
-        EditedMeanwhile: it is not of the edition in `if_match` any more: somebody published one, or archived it.
+        EditConflict: it is not of the ETag in `if_match` any more: somebody published one, or archived it.
     """
     old = await _changeable(db, actor, action_id)
     if name_key(definition.name) != name_key(old.name):
@@ -96,7 +96,7 @@ async def add_version(
         raise InvalidRequest(problems=[FieldProblem(field="definition.name", message=message)])
     if definition == old.latest.definition:
         return old
-    require_edition(if_match, old.edition, noun="action", name=old.name)
+    require_match(if_match, old.etag, noun="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
     made = await get_action(db, actor, action_id)
     await record(db, actor, _event("action.publish", made))
@@ -106,18 +106,18 @@ async def add_version(
 async def set_archived(
     db: Connection, actor: Actor, *, action_id: uuid.UUID, archived: bool, if_match: str | None = None
 ) -> ActionRead:
-    """Archive an action, or take it back; where it is so already, nothing is asked of its edition.
+    """Archive an action, or take it back; where it is so already, nothing is asked of its ETag.
 
     Raises:
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but not change it.
         NameTaken: another one has its name by now.
-        EditedMeanwhile: it is not of the edition in `if_match` any more.
+        EditConflict: it is not of the ETag in `if_match` any more.
     """
     old = await _changeable(db, actor, action_id)
     if old.archived is archived:
         return old
-    require_edition(if_match, old.edition, noun="action", name=old.name)
+    require_match(if_match, old.etag, noun="action", name=old.name)
     values = {"archived_at": func.now() if archived else None}
     try:
         await db.execute(update(action).where(action.c.id == action_id).values(**values))
@@ -177,7 +177,7 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     await db.execute(locked)
     found = await get_action(db, actor, action_id)
     if not found.may_change:
-        needs = "WRITE on its project" if found.project else "its maker or an admin"
+        needs = "WRITE on its project" if found.project else "admin rights, or to be the person who created it"
         raise Forbidden(noun="action", operation="change the action", needs=needs)
     return found
 

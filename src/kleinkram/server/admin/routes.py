@@ -60,9 +60,9 @@ async def begin_scrub(
 
 
 @router.get("/health", operation_id="get_admin_health")
-async def get_admin_health(request: Request, site: CurrentSite, _actor: CurrentActor) -> AdminHealth:
+async def get_admin_health(request: Request, context: CurrentSite, _actor: CurrentActor) -> AdminHealth:
     """Say how database, store and workers are."""
-    return await service.get_health(site, takes_pages=request.app.state.pages_may_send)
+    return await service.get_health(context, takes_pages=request.app.state.pages_may_send)
 
 
 @router.get("/settings", operation_id="get_admin_settings")

@@ -26,6 +26,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.blobs import scrubs
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
 from kleinkram.server.home.service import is_low, store_use
@@ -33,7 +34,6 @@ from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
 from kleinkram.server.settings import Settings, is_secret
-from kleinkram.server.site import Site
 
 
 async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
@@ -98,17 +98,17 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
 async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
-        raise NotAuthenticated(reason="a scrub is asked for by somebody")
+        raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
     return _scrub(row)
 
 
-async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
+async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
     """Return how the server is; asks the store without holding a connection."""
-    found = await readiness(site.database, site.storage)
-    async with site.database.begin() as db:
+    found = await readiness(context.database, context.storage)
+    async with context.database.begin() as db:
         server = (await db.execute(queries.SERVER)).one()
         here = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
@@ -127,8 +127,8 @@ async def get_health(site: Site, *, takes_pages: bool) -> AdminHealth:
         worker_last_at=workers.last_seen_at,
         runs_problem=runs_problem(queued, known, owners_alone=alone),
         invitation_warning=invitation_warning(known, owners_alone=alone),
-        store_checksum=site.storage.checksum.value,
-        store_writes_once=site.storage.abilities.writes_once,
+        store_checksum=context.storage.checksum.value,
+        store_writes_once=context.storage.abilities.writes_once,
         store_takes_pages=takes_pages,
     )
 

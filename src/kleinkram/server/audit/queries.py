@@ -27,9 +27,9 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
+from kleinkram.server.bulk import unnest_rows
+from kleinkram.server.filters.patterns import matches
 from kleinkram.server.pages import Order
-from kleinkram.server.search.globs import matches
-from kleinkram.server.sets import given
 from kleinkram.server.tables import audit_event, mission, person, project, share, token
 
 # Latest first; an export is the other way round.
@@ -51,7 +51,7 @@ def lacks_own_right(admin: Actor, places: Sequence[Place]) -> ScalarSelect[Seque
     """
     columns = [column("number", Integer), column("project_id", Uuid), column("mission_id", Uuid)]
     rows = [{"number": number, **place._asdict()} for number, place in enumerate(places)]
-    place = given([*columns, column("needed", Integer)], rows)
+    place = unnest_rows([*columns, column("needed", Integer)], rows)
     by_mission = _own_level_on_mission(admin, place.c.mission_id)
     by_project = _own_level_on_project(admin, place.c.project_id)
     is_lacking = func.coalesce(by_mission, by_project, literal(0)) < place.c.needed

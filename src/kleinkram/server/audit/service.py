@@ -14,10 +14,10 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.audit import queries
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.bulk import insert_rows, unnest_rows
+from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.pages import PageRequest, fetch_page
-from kleinkram.server.sets import given, insert_rows
 from kleinkram.server.tables import audit_event
 
 _AT_ONCE = 500
@@ -67,14 +67,14 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
         await db.execute(_insert_marked(actor, rows, [_place(actor, event) for event in events]))
     else:
         await db.execute(insert_rows(audit_event, rows))
-    await tell(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
+    await publish(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
 
 
 def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: Sequence[queries.Place]) -> Insert:
     """Return what inserts rows with the mark of what took an admin's power, each by where it happened."""
     numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
     numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
-    said = given([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
+    said = unnest_rows([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
     marks = queries.lacks_own_right(admin, [*numbers])
     values = select(*(said.c[key] for key in rows[0]), marks[said.c.place])
     return insert(audit_event).from_select([*rows[0], "as_admin"], values)
@@ -86,13 +86,13 @@ _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 _NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})
 
 
-def _notice(actor: Actor | None, event: Event) -> Notice | None:
+def _notice(actor: Actor | None, event: Event) -> ChangeEvent | None:
     verb = event.operation.partition(".")[2]
     if verb in _NO_CHANGE:
         return None
     kind = ChangeKind.created if verb in _CREATED else ChangeKind.removed if verb in _REMOVED else ChangeKind.changed
     by_id = actor.person_id if actor is not None and event.project_id is None else None
-    return Notice(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id)
+    return ChangeEvent(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id)
 
 
 def _values(actor: Actor | None, event: Event) -> dict[str, object]:

@@ -18,7 +18,7 @@ from kleinkram.server.auth.providers import Providers
 from kleinkram.server.auth.sessions import begin_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings
-from kleinkram.server.rates import Count, limit, neighbourhood, turn_of
+from kleinkram.server.rate_limit import Count, limit, neighbourhood, turn_of
 from kleinkram.server.settings import Settings
 
 # From so many addresses at once may an account be tried as often as each may try, before tries take turns.

@@ -17,8 +17,8 @@ from awscrt.checksums import crc64nvme
 from sqlalchemy import Row
 
 from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.context import AppContext
 from kleinkram.server.s3 import S3Error
-from kleinkram.server.site import Site
 from kleinkram.server.storage import Storage, StoreRefused
 
 # Read once more where reading stopped.
@@ -51,7 +51,7 @@ class Unreadable(Exception):
     """The store serves other objects, and fails to return the bytes of this one; says from which byte on."""
 
 
-async def read_through(site: Site, key: str, along: Along | None = None) -> Found:
+async def read_through(context: AppContext, key: str, along: Along | None = None) -> Found:
     """Read an object at the rate that the settings allow, and give each piece to `along` too.
 
     Raises:
@@ -62,17 +62,17 @@ async def read_through(site: Site, key: str, along: Along | None = None) -> Foun
     sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
     started = time.monotonic()
     try:
-        async with aclosing(site.storage.read(key, attempts=1)) as pieces:
+        async with aclosing(context.storage.read(key, attempts=1)) as pieces:
             async for piece in pieces:
                 size_bytes += len(piece)
                 crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
                 if along is not None:
                     await along(piece)
-                ahead_s = size_bytes / site.settings.proving_bytes_per_s - (time.monotonic() - started)
+                ahead_s = size_bytes / context.settings.proving_bytes_per_s - (time.monotonic() - started)
                 if ahead_s > 0:
                     await asyncio.sleep(ahead_s)
     except StoreUnavailable as error:
-        await _raise_if_unreadable(site.storage, key, size_bytes, error)
+        await _raise_if_unreadable(context.storage, key, size_bytes, error)
         raise
     return Found(size_bytes, sha256.digest(), md5.digest(), crc.to_bytes(8, "big"))
 

@@ -17,7 +17,7 @@ from sqlalchemy import Row
 from kleinkram.contract.files import BlobState
 from kleinkram.server.blobs import queries, scrubs, service
 from kleinkram.server.blobs.scrubs import Tally
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 
 _log = logging.getLogger("kleinkram.blobs")
 _BATCH = 1000
@@ -37,7 +37,7 @@ class Stopped(Exception):
 class _Walk:
     """What one scrub has seen so far. Suspects are blobs that the list does not show as they should be."""
 
-    site: Site
+    context: AppContext
     started_at: datetime.datetime
     believes: bool
     tally: Tally = field(default_factory=Tally)
@@ -45,22 +45,22 @@ class _Walk:
     suspects: list[Row[Any]] = field(default_factory=list)
 
 
-async def scrub_store(site: Site, scrub_id: uuid.UUID) -> None:
+async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
     """Do a scrub from beginning to end, and keep what it found. One that has ended is left as it is.
 
     Raises:
         StoreUnavailable: the store did not answer, or not to the end; what was not compared yet was not judged.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         row = await scrubs.start(db, scrub_id)
-    if row is None or row.store_id != site.settings.store_id:
+    if row is None or row.store_id != context.settings.store_id:
         return
-    walk = _Walk(site, row.started_at, row.believes)
+    walk = _Walk(context, row.started_at, row.believes)
     stopped = None
     try:
         async for _ in _compare(walk):
             await _judge(walk) if walk.believes else _see_whether_it_is_ours(walk)
-            async with site.database.begin() as db:
+            async with context.database.begin() as db:
                 await scrubs.note(db, scrub_id, walk.tally)
         if not walk.believes:
             _see_whether_it_is_ours(walk, at_end=True)
@@ -68,7 +68,7 @@ async def scrub_store(site: Site, scrub_id: uuid.UUID) -> None:
     except Stopped as reason:
         stopped = str(reason)
         _log.error("scrub stopped", extra={"fields": {"scrub_id": str(scrub_id), "reason": stopped}})
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         await scrubs.end(db, scrub_id, walk.tally, stopped=stopped)
     _log.info("store scrubbed", extra={"fields": {"scrub_id": str(scrub_id), **vars(walk.tally)}})
 
@@ -76,7 +76,7 @@ async def scrub_store(site: Site, scrub_id: uuid.UUID) -> None:
 async def _compare(walk: _Walk) -> AsyncIterator[None]:
     """Go through the list, and through the blobs that it must show; yield whenever some of them were compared."""
     after = ""
-    async for listed in walk.site.storage.pages():
+    async for listed in walk.context.storage.pages():
         if not listed:
             continue
         if min(listed) <= after:
@@ -90,10 +90,10 @@ async def _compare(walk: _Walk) -> AsyncIterator[None]:
 
 
 async def _compare_page(walk: _Walk, listed: Mapping[str, int], after: str, until: str | None) -> AsyncIterator[None]:
-    store_id, known = walk.site.settings.store_id, set[str]()
+    store_id, known = walk.context.settings.store_id, set[str]()
     while True:
         kept = queries.kept_between(store_id, after, until, since_before=walk.started_at, limit=_BATCH)
-        async with walk.site.database.begin() as db:
+        async with walk.context.database.begin() as db:
             rows = (await db.execute(kept)).all()
         for row in rows:
             _look_at(walk, row, listed.get(row.key))
@@ -104,7 +104,7 @@ async def _compare_page(walk: _Walk, listed: Mapping[str, int], after: str, unti
         after = rows[-1].key
     strange = [key for key in listed if key not in known and not key.startswith(_OF_THE_PROBE)]
     if strange:
-        async with walk.site.database.begin() as db:
+        async with walk.context.database.begin() as db:
             walk.tally.unknown += (await db.execute(queries.unknown_among(store_id, strange))).scalar_one()
 
 
@@ -129,7 +129,7 @@ def _see_whether_it_is_ours(walk: _Walk, *, at_end: bool = False) -> None:
     compared = walk.tally.compared
     too_many = walk.missing > max(_FEW_MISSING, _SHARE_MISSING * compared) or 0 < walk.missing == compared
     if len(walk.suspects) > _MOST_SUSPECTS or (at_end and too_many):
-        settings = walk.site.settings
+        settings = walk.context.settings
         raise Stopped(
             f"Of {compared} objects compared, {walk.missing} are not in the list of bucket {settings.s3_bucket!r}. "
             "It looks like another store, or like one that lists only a part, so nothing was marked. See that "
@@ -143,13 +143,13 @@ async def _judge(walk: _Walk) -> None:
     suspects, walk.suspects = walk.suspects, []
     for start in range(0, len(suspects), _AT_ONCE):
         some = suspects[start : start + _AT_ONCE]
-        found = await asyncio.gather(*(walk.site.storage.find(row.key) for row in some))
+        found = await asyncio.gather(*(walk.context.storage.find(row.key) for row in some))
         for row, stored in zip(some, found, strict=True):
             await _keep(walk, row, None if stored is None else stored.size_bytes)
 
 
 async def _keep(walk: _Walk, row: Row[Any], stored_bytes: int | None) -> None:
-    async with walk.site.database.begin() as db:
+    async with walk.context.database.begin() as db:
         if stored_bytes is None:
             reason = "the store no longer has the object"
             walk.tally.lost += await service.keep_damage(db, row.id, state=BlobState.lost, reason=reason)

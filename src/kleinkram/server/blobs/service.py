@@ -17,12 +17,12 @@ from kleinkram.recordings.density import pack
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.bulk import unnest_rows
+from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, settle, start_now, waiting
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.sets import given
 from kleinkram.server.tables import blob, file, mission, topic
 
 _MAX_BIGINT = 2**63 - 1
@@ -203,7 +203,7 @@ async def _regroup_missions(db: Connection, blob_ids: Iterable[uuid.UUID]) -> No
 async def _tell_of_files(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
     made_of = select(file.c.id, file.c.mission_id).where(among(file.c.blob_id, blob_ids), file.c.deleted_at.is_(None))
     rows = await db.execute(made_of)
-    await tell(db, [Notice("file", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
+    await publish(db, [ChangeEvent("file", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
 
 
 async def _missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> list[uuid.UUID]:
@@ -217,7 +217,7 @@ async def keep_proofs(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> None:
     One that was lost or corrupt is so no more.
     """
     healed = await _damaged_before(db, md5s)
-    said = given([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
+    said = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
     values = {"state": BlobState.proven.value, "state_reason": None, "damaged_at": None, "md5": said.c.md5}
     await db.execute(update(blob).where(blob.c.id == said.c.id).values(**values, proven_at=func.now()))
     for blob_id, before in healed.items():

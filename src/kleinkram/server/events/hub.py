@@ -16,7 +16,7 @@ import psycopg
 from psycopg.conninfo import make_conninfo
 
 from kleinkram.contract.errors import TooManyStreams
-from kleinkram.server.changes import CHANNEL, EVERYTHING, Notice, read_notice
+from kleinkram.server.change_events import CHANNEL, EVERYTHING, ChangeEvent, read_event
 from kleinkram.server.settings import Settings, plain_dsn
 
 _log = logging.getLogger("kleinkram.events")
@@ -43,7 +43,7 @@ _WAITING: dict[str, str | int] = {
 class Heard:
     """What a stream has to tell: notices, or that there were more than it could wait with. `until` is its place."""
 
-    notices: list[Notice]
+    notices: list[ChangeEvent]
     until: str
     was_too_much: bool
     was_missed: bool
@@ -56,7 +56,7 @@ class Topic:
     nouns: frozenset[str]
     noun_id: uuid.UUID | None = None
 
-    def includes(self, notice: Notice) -> bool:
+    def includes(self, notice: ChangeEvent) -> bool:
         """Whether the listener is to be woken by this change."""
         return notice.noun in self.nouns and (None in (self.noun_id, notice.id) or notice.id == self.noun_id)
 
@@ -66,12 +66,12 @@ class Listener:
 
     def __init__(self, topic: Topic | None = None) -> None:
         self._topic = topic
-        self._waiting: dict[Notice, None] = {}
+        self._waiting: dict[ChangeEvent, None] = {}
         self._was_too_much = False
         self._was_missed = False
         self._woken = asyncio.Event()
 
-    def hear(self, notice: Notice) -> None:
+    def hear(self, notice: ChangeEvent) -> None:
         """Keep a notice until it is told; the same one again changes nothing."""
         if self._topic is not None and not self._topic.includes(notice):
             return
@@ -112,7 +112,7 @@ class Hub:
     def __init__(self) -> None:
         self._listeners: dict[Listener, uuid.UUID | None] = {}
         self._long_polls: dict[Listener, uuid.UUID | None] = {}
-        self._remembered: deque[Notice] = deque(maxlen=_REMEMBERED)
+        self._remembered: deque[ChangeEvent] = deque(maxlen=_REMEMBERED)
         self._count = 0
         self._era = secrets.token_hex(4)
         self._over = asyncio.Event()
@@ -137,7 +137,7 @@ class Hub:
         """
         own = Counter(self._listeners.values())[person_id]
         if own >= MOST_STREAMS or len(self._listeners) >= _MOST_STREAMS_OF_ALL:
-            raise TooManyStreams(most=MOST_STREAMS)
+            raise TooManyStreams(limit=MOST_STREAMS)
 
     @contextmanager
     def listening(self, person_id: uuid.UUID | None, *, after: str | None) -> Iterator[Listener]:
@@ -161,7 +161,7 @@ class Hub:
         """
         own = Counter(self._long_polls.values())[account_id]
         if own >= MOST_LONG_POLLS or len(self._long_polls) >= _MOST_LONG_POLLS_OF_ALL:
-            raise TooManyStreams(most=MOST_LONG_POLLS)
+            raise TooManyStreams(limit=MOST_LONG_POLLS)
         listener = Listener(topic)
         self._long_polls[listener] = account_id
         try:
@@ -195,7 +195,7 @@ class Hub:
         if said == EVERYTHING:
             self.begin_anew()
             return
-        notice = read_notice(said)
+        notice = read_event(said)
         self._count += 1
         self._remembered.append(notice)
         for listener in self._all_listeners:
@@ -208,7 +208,7 @@ class Hub:
         for listener in self._all_listeners:
             listener.miss()
 
-    def _since(self, after: str, listener: Listener) -> list[Notice]:
+    def _since(self, after: str, listener: Listener) -> list[ChangeEvent]:
         era, _, number = after.partition("-")
         behind = self._count - int(number) if era == self._era and number.isdecimal() else -1
         if 0 <= behind <= len(self._remembered):

@@ -15,14 +15,14 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.events import Change, Refetch, RefetchReason
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import standing
-from kleinkram.server.changes import Notice, gathered
+from kleinkram.server.change_events import ChangeEvent, merge_events
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.events import queries
 from kleinkram.server.events.hub import Heard, Hub, Listener
 
 # Who somebody is, found anew from what they came with; None once that is not good any more.
 FindAgain = Callable[[Connection], Awaitable[Actor | None]]
-BEAT_S = 15.0
+HEARTBEAT_S = 15.0
 # How late it is noticed that rights ended by themselves; what somebody ended is noticed at once.
 LOOK_S = 5.0
 _GAP_S = 0.5
@@ -62,7 +62,7 @@ async def watch(asked: Watch, actor: Actor) -> AsyncIterator[str]:
             if seen is None:
                 return
             rights = seen.rights
-            if opening or seen.said or time.monotonic() - spoke_at >= BEAT_S:
+            if opening or seen.said or time.monotonic() - spoke_at >= HEARTBEAT_S:
                 yield opening + seen.said or ": still here\n\n"
                 opening = ""
                 spoke_at = time.monotonic()
@@ -101,7 +101,7 @@ def _reason(heard: Heard, *, is_other: bool) -> RefetchReason | None:
     return RefetchReason.behind if heard.was_too_much else None
 
 
-async def _known(db: Connection, actor: Actor, notices: Sequence[Notice]) -> list[Change]:
+async def _known(db: Connection, actor: Actor, notices: Sequence[ChangeEvent]) -> list[Change]:
     missions = {each.mission_id for each in notices if each.mission_id is not None}
     projects = {each.project_id for each in notices if each.project_id is not None}
     of_mission = {}
@@ -117,13 +117,13 @@ async def _known(db: Connection, actor: Actor, notices: Sequence[Notice]) -> lis
             project_id=each.project_id or of_mission.get(each.mission_id),
             mission_id=each.mission_id,
         )
-        for each in gathered(notices, most=_MOST_ALIKE)
+        for each in merge_events(notices, max_alike=_MOST_ALIKE)
         if each.mission_id in of_mission or each.project_id in known or _is_own(actor, each)
     ]
     return list(dict.fromkeys(told))
 
 
-def _is_own(actor: Actor, notice: Notice) -> bool:
+def _is_own(actor: Actor, notice: ChangeEvent) -> bool:
     """Say of something that is in no project, a session or a group, whether somebody did it themselves, or is admin."""
     if notice.project_id is not None or notice.mission_id is not None or actor.limits is not None:
         return False

@@ -18,7 +18,7 @@ from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.editions import IfMatch
+from kleinkram.server.etags import IfMatch
 from kleinkram.server.files import labelling, service
 from kleinkram.server.pages import PageRequest
 
@@ -42,9 +42,9 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 
 @router.post("/files/download", operation_id="download_files")
-async def download_files(wanted: DownloadRequest, site: CurrentSite, actor: CurrentActor) -> DownloadLinks:
+async def download_files(wanted: DownloadRequest, context: CurrentSite, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted, and for what."""
-    links = await service.link_files(site, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
+    links = await service.link_files(context, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
     return DownloadLinks(items=links)
 
 

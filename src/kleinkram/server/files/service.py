@@ -29,19 +29,19 @@ from kleinkram.server.access.rights import require_mission
 from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import prove_again
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.editions import require_edition
+from kleinkram.server.etags import require_match
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
+from kleinkram.server.files.topics import to_topics
+from kleinkram.server.filters.asked import asked_alike, values
+from kleinkram.server.filters.looking import meets_many
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_listed, rows_after
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.search.asked import asked_alike, values
-from kleinkram.server.search.looking import meets_many
-from kleinkram.server.search.topics import to_topics
 from kleinkram.server.shares.service import note_downloads
-from kleinkram.server.site import Site
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
@@ -169,7 +169,7 @@ async def update_file(
         NameTaken: there is a file of that path.
         QuotaExceeded: the project to move it to has no room for it.
         PathConflict: the path is a folder there, or needs a folder where a file is.
-        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
+        EditConflict: it is not of the ETag in `if_match` any more, and what is asked for is not so already.
     """
     old = await _locked_row(db, actor, file_id, *filter(None, [changes.mission_id]))
     mission_id = changes.mission_id or old.mission_id
@@ -179,7 +179,7 @@ async def update_file(
     path = changes.path or old.path
     labels = old.labels if changes.labels is None else list(dict.fromkeys(changes.labels))
     if (mission_id, path, labels) != (old.mission_id, old.path, old.labels):
-        require_edition(if_match, queries.to_file(old).edition, noun="file", name=old.path)
+        require_match(if_match, queries.to_file(old).etag, noun="file", name=old.path)
     values: dict[str, Any] = {}
     if labels != old.labels:
         values["labels"] = labels
@@ -227,7 +227,7 @@ async def _come_of_it(db: Connection, actor: Actor, file_id: uuid.UUID) -> tuple
 
 
 async def link_files(
-    site: Site, actor: Actor, *, file_ids: Sequence[uuid.UUID], purpose: FetchPurpose
+    context: AppContext, actor: Actor, *, file_ids: Sequence[uuid.UUID], purpose: FetchPurpose
 ) -> list[DownloadLink]:
     """Return where to read files, in the order asked, and note who fetched them, or looked into them.
 
@@ -235,14 +235,14 @@ async def link_files(
         NotFound: one of them is not there, or not for this actor.
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         rows = await _rows(db, actor, file_ids)
         for row in rows:
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
         await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
         await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
-    return [_link(site, row) for row in rows]
+    return [_link(context, row) for row in rows]
 
 
 async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
@@ -320,10 +320,10 @@ def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
     )
 
 
-def _link(site: Site, row: Row[Any]) -> DownloadLink:
-    expires_s = site.settings.download_url_s
+def _link(context: AppContext, row: Row[Any]) -> DownloadLink:
+    expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    url = site.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    url = context.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
     seen = queries.to_file(row)
     return DownloadLink(
         file_id=seen.id,

@@ -10,7 +10,7 @@ from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, Membe
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.editions import IfMatch
+from kleinkram.server.etags import IfMatch
 from kleinkram.server.groups import service
 from kleinkram.server.pages import PageRequest
 
@@ -65,7 +65,7 @@ async def get_group(group_id: uuid.UUID, db: Transaction, actor: CurrentActor) -
 async def update_group(
     group_id: uuid.UUID, changes: GroupUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> GroupRead:
-    """Rename a group. With If-Match, only where it is still of that edition."""
+    """Rename a group. With If-Match, only where it is still of that ETag."""
     return await service.rename_group(db, actor, group_id=group_id, changes=changes, if_match=if_match)
 
 
@@ -95,7 +95,7 @@ async def set_group_member(
 ) -> MemberRead:
     """Put somebody into a group, or change how and until when they are in it.
 
-    With If-Match, only where they are in it, and their membership is still of that edition.
+    With If-Match, only where they are in it, and their membership is still of that ETag.
     """
     return await service.set_member(db, actor, group_id=group_id, person_id=person_id, wanted=wanted, if_match=if_match)
 

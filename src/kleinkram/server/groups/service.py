@@ -28,7 +28,7 @@ from kleinkram.server.access.rights import hold_rights
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.editions import require_edition
+from kleinkram.server.etags import require_match
 from kleinkram.server.groups import queries
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
@@ -81,22 +81,22 @@ async def create_group(db: Connection, actor: Actor, *, wanted: GroupCreate, cre
 async def rename_group(
     db: Connection, actor: Actor, *, group_id: uuid.UUID, changes: GroupUpdate, if_match: str | None = None
 ) -> GroupRead:
-    """Rename a group and return it; where that is its name already, nothing is asked of its edition.
+    """Rename a group and return it; where that is its name already, nothing is asked of its ETag.
 
     Raises:
         NotFound: it is not there, or not for this actor.
         Forbidden: they are no editor of it.
         GroupFixed: its name is in the settings, or ours.
         NameTaken: there is a group of that name, seen or not.
-        EditedMeanwhile: it is not of the edition in `if_match` any more.
+        EditConflict: it is not of the ETag in `if_match` any more.
     """
     await db.execute(select(access_group.c.id).where(access_group.c.id == group_id).with_for_update())
     seen = await _managed(db, actor, group_id, "rename")
     if seen.kind is not GroupKind.custom:
-        raise GroupFixed(name=seen.name, reason="its name is given")
+        raise GroupFixed(name=seen.name, reason="its name is fixed")
     if seen.name == changes.name:
         return seen
-    require_edition(if_match, seen.edition, noun="group", name=seen.name)
+    require_match(if_match, seen.etag, noun="group", name=seen.name)
     renamed = update(access_group).where(access_group.c.id == group_id)
     try:
         await db.execute(renamed.values(name=changes.name, name_key=name_key(changes.name)))
@@ -118,7 +118,7 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
     await hold_rights(db)
     seen = await _managed(db, actor, group_id, "delete")
     if seen.kind is GroupKind.admins or seen.domains:
-        raise GroupFixed(name=seen.name, reason="it is one that the settings ask for, or that of the admins")
+        raise GroupFixed(name=seen.name, reason="it is the group of the admins, or the settings require it")
     owned = await _owned(db, group_id)
     grants = (await db.execute(queries.granted_to(group_id))).all()
     await record_all(
@@ -152,17 +152,17 @@ async def set_member(
 ) -> MemberRead:
     """Put somebody into a group, or change how and until when they are in it, and return that.
 
-    Where it is so already, nothing is asked of the edition.
+    Where it is so already, nothing is asked of the ETag.
 
     Raises:
-        NotFound: the group or the person is not there, or not for this actor; or `if_match` names an edition, and they
+        NotFound: the group or the person is not there, or not for this actor; or `if_match` names an ETag, and they
             are in the group no longer.
         Forbidden: they are no editor of it.
         RightExceeded: it is for longer than they are in it themselves.
         GroupFixed: who is in it follows from addresses; only who edits it can be changed.
         InvalidRequest: the end has passed already.
         LastOwner, LastAdmin: somebody would be in it no longer for good, and was the last.
-        EditedMeanwhile: the membership is not of the edition in `if_match` any more.
+        EditConflict: the membership is not of the ETag in `if_match` any more.
     """
     await hold_rights(db)
     seen = await _managed(db, actor, group_id, "add members")
@@ -171,7 +171,7 @@ async def set_member(
     if old is None and if_match is not None:
         raise NotFound(noun="member", ref=str(person_id))
     if seen.kind is GroupKind.affiliation and (old is None or wanted.expires_at is not None):
-        raise GroupFixed(name=seen.name, reason="who is in it, and until when, follows from verified addresses")
+        raise GroupFixed(name=seen.name, reason="its members follow from their verified addresses")
     if wanted.expires_at is not None:
         passed = select(literal(wanted.expires_at) <= func.now())
         if (await db.execute(passed)).scalar_one():
@@ -179,7 +179,7 @@ async def set_member(
     values = {"is_editor": wanted.is_editor, "expires_at": wanted.expires_at}
     if old is None or (old.is_editor, old.expires_at) != (wanted.is_editor, wanted.expires_at):
         if old is not None:
-            require_edition(if_match, queries.to_member(old).edition, noun="member", name=old.name)
+            require_match(if_match, queries.to_member(old).etag, noun="member", name=old.name)
         _see_that_it_is_theirs_to_give(actor, seen, wanted)
         after = {"person": name, **_said(wanted.is_editor, wanted.expires_at)}
         await record(db, actor, _event(seen, "group.member", _before(old), after))
@@ -204,7 +204,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
     leaves = person_id == actor.person_id
     seen = await (get_group(db, actor, group_id) if leaves else _managed(db, actor, group_id, "remove members"))
     if seen.kind is GroupKind.affiliation:
-        raise GroupFixed(name=seen.name, reason="who is in it follows from verified addresses")
+        raise GroupFixed(name=seen.name, reason="its members follow from their verified addresses")
     old = await _member(db, actor, group_id, person_id)
     if old is None:
         raise NotFound(noun="member", ref=str(person_id))
@@ -216,7 +216,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
 async def _managed(db: Connection, actor: Actor, group_id: uuid.UUID, doing: str) -> GroupRead:
     seen = await get_group(db, actor, group_id)
     if not (actor.is_admin or (seen.is_editor and seen.kind is not GroupKind.admins)):
-        raise Forbidden(noun="group", operation=doing, needs="an editor of it")
+        raise Forbidden(noun="group", operation=doing, needs="an editor of the group")
     return seen
 
 
@@ -224,7 +224,7 @@ def _see_that_it_is_theirs_to_give(actor: Actor, seen: GroupRead, wanted: Member
     own, given = seen.expires_at, wanted.expires_at
     if not actor.is_admin and own is not None and (given is None or given > own):
         until = "a membership without an end" if given is None else f"a membership until {given:%Y-%m-%d %H:%M} UTC"
-        raise RightExceeded(noun="group", wanted=until, held=f"one until {own:%Y-%m-%d %H:%M} UTC")
+        raise RightExceeded(noun="group", requested=until, own=f"one until {own:%Y-%m-%d %H:%M} UTC")
 
 
 async def _member(db: Connection, actor: Actor, group_id: uuid.UUID, person_id: uuid.UUID) -> Row[Any] | None:

@@ -20,11 +20,11 @@ from kleinkram.contract.home import (
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.home import queries
 from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_never
 from kleinkram.server.settings import Settings
-from kleinkram.server.site import Site
 
 _MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20
 # Kinds of queued runs that are looked at; one kind is one action on one mission.
@@ -37,15 +37,15 @@ _OF_STATE = {"corrupt": Need.files_corrupt, "lost": Need.files_lost}
 _OF_CONTENT = {"broken": Need.files_broken, "error": Need.files_unread, "recovered": Need.files_recovered}
 
 
-async def get_home(site: Site, actor: Actor) -> HomeRead:
+async def get_home(context: AppContext, actor: Actor) -> HomeRead:
     """Return what somebody finds when they come. A store that does not answer only leaves out what it holds."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         missions = (await db.execute(queries.recent_missions(actor, limit=_MISSIONS))).all()
         uploads = (await db.execute(queries.unfinished_uploads(actor, limit=_UPLOADS))).all()
         attention = await _attention(db, actor)
         if _sees_the_server(actor):
-            attention = [*await _of_server(db, site.settings), *attention]
-    sent = await asyncio.gather(*(_sent_bytes(site, row) for row in uploads))
+            attention = [*await _of_server(db, context.settings), *attention]
+    sent = await asyncio.gather(*(_sent_bytes(context, row) for row in uploads))
     return HomeRead(
         missions=[_recent(row) for row in missions],
         uploads=[_unfinished(row, held) for row, held in zip(uploads, sent, strict=True)],
@@ -124,11 +124,11 @@ async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 
 
-async def _sent_bytes(site: Site, row: Row[Any]) -> int | None:
+async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
     if row.multipart_id is None:
         return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
     try:
-        held = await asyncio.wait_for(site.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+        held = await asyncio.wait_for(context.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
     # A part sent twice may be listed twice.

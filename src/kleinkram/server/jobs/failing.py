@@ -13,9 +13,9 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import DatabaseUnavailable, KleinkramError
-from kleinkram.server import measures
-from kleinkram.server.jobs.context import site_of
-from kleinkram.server.site import Site
+from kleinkram.server import metrics
+from kleinkram.server.context import AppContext
+from kleinkram.server.jobs.job_context import app_context
 from kleinkram.server.tables import job_error
 
 _log = logging.getLogger("kleinkram.worker")
@@ -33,11 +33,11 @@ class Attempts:
     lanes: set[int] = field(default_factory=set)
 
 
-async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext, worker: Worker) -> Any:
+async def keep_why(call_next: Callable[[], Awaitable[Any]], job_context: JobContext, worker: Worker) -> Any:
     """Run a job and count it; where it fails, log and keep why, before the queue hears of it."""
-    job, began = context.job, time.monotonic()
+    job, began = job_context.job, time.monotonic()
     outcome = "aborted"  # cancelled, unless something else comes first
-    attempts = context.additional_context.get("attempts")
+    attempts = job_context.additional_context.get("attempts")
     if isinstance(attempts, Attempts) and job.id is not None and worker.worker_id is not None:
         attempts.running.add(job.id)
         attempts.lanes.add(worker.worker_id)
@@ -46,9 +46,9 @@ async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext,
         outcome = "succeeded"
         return answer
     except Exception as error:
-        retry = context.task.get_retry_exception(error, job)
+        retry = job_context.task.get_retry_exception(error, job)
         # A periodic job's next round comes by itself: what the database's absence ended is no failure to look into.
-        has_next_round = isinstance(error, DatabaseUnavailable) and context.task.queueing_lock is not None
+        has_next_round = isinstance(error, DatabaseUnavailable) and job_context.task.queueing_lock is not None
         outcome = "given_up" if retry is None and not has_next_round else "failed"
         sentence = sentence_of(error)
         next_at = retry.retry_decision.retry_at if retry is not None else None
@@ -59,11 +59,11 @@ async def keep_why(call_next: Callable[[], Awaitable[Any]], context: JobContext,
         if has_next_round:
             return None
         if job.id is not None:
-            await _keep(site_of(context), job.id, sentence)
+            await _keep(app_context(job_context), job.id, sentence)
         raise
     finally:
-        measures.JOB_ATTEMPTS.labels(job.task_name, outcome).inc()
-        measures.JOB_SECONDS.labels(job.task_name).observe(time.monotonic() - began)
+        metrics.JOB_ATTEMPTS.labels(job.task_name, outcome).inc()
+        metrics.JOB_SECONDS.labels(job.task_name).observe(time.monotonic() - began)
         if isinstance(attempts, Attempts) and job.id is not None:
             attempts.running.discard(job.id)
 
@@ -80,10 +80,10 @@ def _named(error: Exception) -> str:
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
-async def _keep(site: Site, job_id: int, sentence: str) -> None:
+async def _keep(context: AppContext, job_id: int, sentence: str) -> None:
     row = upsert(job_error).values(job_id=job_id, sentence=sentence)
     try:
-        async with site.database.begin() as db:
+        async with context.database.begin() as db:
             await db.execute(row.on_conflict_do_update(index_elements=["job_id"], set_={"sentence": sentence}))
     except (SQLAlchemyError, KleinkramError) as error:  # what the job itself failed of must not be lost to this
         _log.warning("why a job failed was not kept", extra={"fields": {"id": job_id, "reason": str(error)}})

@@ -18,7 +18,7 @@ from kleinkram.contract.query import parse
 from kleinkram.contract.searching import QueryText
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, Reading, Transaction
-from kleinkram.server.editions import IfMatch
+from kleinkram.server.etags import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.pages import PageRequest
 

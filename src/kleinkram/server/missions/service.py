@@ -34,15 +34,15 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.editions import require_edition
+from kleinkram.server.etags import require_match
+from kleinkram.server.filters.asked import asked_alike, values
+from kleinkram.server.filters.looking import estimate_missions
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
 from kleinkram.server.pages import PageRequest, cut, fetch_listed
 from kleinkram.server.quotas.service import require_room_for_mission
-from kleinkram.server.search.asked import asked_alike, values
-from kleinkram.server.search.looking import estimate_missions
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 
@@ -193,7 +193,7 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
 async def update_mission(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, changes: MissionUpdate, if_match: str | None = None
 ) -> MissionRead:
-    """Change what is given and return the mission; where it is all so already, nothing is asked of its edition.
+    """Change what is given and return the mission; where it is all so already, nothing is asked of its ETag.
 
     A mission that moves keeps its metadata; what of it does not satisfy the new project is reported, not refused.
 
@@ -204,7 +204,7 @@ async def update_mission(
         MetadataInvalid: new metadata does not satisfy the project.
         NameTaken: the project has a mission of that name.
         QuotaExceeded: the project to move it to has no room for it.
-        EditedMeanwhile: it is not of the edition in `if_match` any more.
+        EditConflict: it is not of the ETag in `if_match` any more.
     """
     is_said = changes.metadata_yaml is not None or changes.metadata is not None
     document = await _said_in(changes) if is_said else None
@@ -223,7 +223,7 @@ async def update_mission(
     values = _simple_changes(old, changes) | await _judged_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old
-    require_edition(if_match, old.edition, noun="mission", name=old.name)
+    require_match(if_match, old.etag, noun="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
     differing = [name for name in _AUDITED if _said(old, name) != _said(new, name)]

@@ -12,7 +12,7 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.editions import IfMatch
+from kleinkram.server.etags import IfMatch
 from kleinkram.server.pages import PageRequest
 from kleinkram.server.projects import service
 

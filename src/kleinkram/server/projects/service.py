@@ -21,7 +21,7 @@ from kleinkram.server.access.rights import admit, require_project
 from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.editions import require_edition
+from kleinkram.server.etags import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import PageRequest, fetch_listed
 from kleinkram.server.projects import queries
@@ -103,7 +103,7 @@ async def update_project(
         YamlInvalid: the field definitions cannot be read.
         FieldsInvalid: they are not usable; names every problem.
         NameTaken: there is a project of that name.
-        EditedMeanwhile: it is not of the edition in `if_match` any more, and what is asked for is not so already.
+        EditConflict: it is not of the ETag in `if_match` any more, and what is asked for is not so already.
     """
     fields = await _declared(changes)
     await db.execute(queries.lock_project(actor, project_id))
@@ -112,7 +112,7 @@ async def update_project(
     before, after = _changes(old, changes, fields)
     if not after:
         return old
-    require_edition(if_match, old.edition, noun="project", name=old.name)
+    require_match(if_match, old.etag, noun="project", name=old.name)
     await _see_that_it_may_change(db, actor, project_id, after)
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
     try:

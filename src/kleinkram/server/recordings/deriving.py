@@ -27,7 +27,7 @@ from kleinkram.recordings import (
 )
 from kleinkram.recordings.combine_summaries import combine_folder
 from kleinkram.server.blobs.fitting import fit
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import amounts
 from kleinkram.server.tables import blob, file, mission, recording, topic
@@ -214,7 +214,7 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
     start_ns, end_ns = _span(derived)
     derived_revision = mission.c.files_revision
     await db.execute(amounts.keep(mission_id, start_ns=start_ns, end_ns=end_ns, derived_revision=derived_revision))
-    await tell(db, [Notice("recording", ChangeKind.changed, mission_id=mission_id)])
+    await publish(db, [ChangeEvent("recording", ChangeKind.changed, mission_id=mission_id)])
 
 
 def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:

@@ -7,8 +7,8 @@ import uuid
 from procrastinate import JobContext
 
 from kleinkram.recordings.grouping import METADATA_NAME
-from kleinkram.server.jobs.context import PATIENTLY, courtesy_of, given, site_of
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
+from kleinkram.server.jobs.job_context import PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics
@@ -21,29 +21,29 @@ _FEW_FILES = 50
 
 
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=PATIENTLY)
-async def group_recordings(context: JobContext, ref: str) -> None:
+async def group_recordings(job_context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
-    site, rests = site_of(context), given(context, "rests", Rests)
+    context, rests = app_context(job_context), given(job_context, "rests", Rests)
     mission_id = uuid.UUID(ref)
     if (left := rests.left(mission_id)) > datetime.timedelta():
-        async with site.database.begin() as db:
+        async with context.database.begin() as db:
             await regroup_later(db, mission_id, left)
         return
-    async with site.database.begin() as db:
-        since = await enqueued_at(db, context.job.id)
-    await courtesy_of(context).give_way(SUMMARY_PATIENCE_S, since=since)
+    async with context.database.begin() as db:
+        since = await enqueued_at(db, job_context.job.id)
+    await courtesy_of(job_context).give_way(SUMMARY_PATIENCE_S, since=since)
     began = time.monotonic()
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         rows = await deriving.live_files(db, mission_id, named=METADATA_NAME)
-    stated = await given(context, "understanding", Understanding).of(site, rows)
-    async with site.database.begin() as db:
+    stated = await given(job_context, "understanding", Understanding).of(context, rows)
+    async with context.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):
             return
         rows = await deriving.live_files(db, mission_id)
         await deriving.keep(db, mission_id, await deriving.derive(db, rows, stated), rows)
     rests.took(mission_id, time.monotonic() - began)
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         # Of many files that takes a while: not for a state that is over already.
         if len(rows) <= _FEW_FILES or not await awaits_regrouping(db, mission_id):
             await keep_topics(db, mission_id)

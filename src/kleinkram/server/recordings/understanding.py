@@ -14,7 +14,7 @@ from kleinkram.contract.names import file_name
 from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_request_bytes
 from kleinkram.recordings.grouping import METADATA_NAME
 from kleinkram.server.blobs.reading import Readers
-from kleinkram.server.site import Site
+from kleinkram.server.context import AppContext
 
 # About 1400 topics. Untrusted YAML takes 18 s a megabyte; what is larger is not looked at.
 _LIMIT_BYTES = 256 * 1024
@@ -31,7 +31,7 @@ class Understanding:
         self._known: dict[str, Rosbag2Metadata | SummaryFailed | None] = {}
         self._size_bytes = 0
 
-    async def of(self, site: Site, rows: Sequence[Row[Any]]) -> dict[str, Rosbag2Metadata | None]:
+    async def of(self, context: AppContext, rows: Sequence[Row[Any]]) -> dict[str, Rosbag2Metadata | None]:
         """Return by path what the metadata.yaml files among these say; None for one that is no such thing.
 
         Those that are too large, cost too much to read, or are gone from the store, are left out.
@@ -42,7 +42,7 @@ class Understanding:
                 continue
             if row.key not in self._known:
                 try:
-                    await self._learn(site, row)
+                    await self._learn(context, row)
                 except FileNotFoundError:
                     continue
             said = self._known[row.key]
@@ -50,12 +50,12 @@ class Understanding:
                 stated[row.path] = said
         return stated
 
-    async def _learn(self, site: Site, row: Row[Any]) -> None:
-        body = b"".join([piece async for piece in site.storage.read(row.key)])
-        timeout_s = min(_LIMIT_S, site.settings.summary_timeout_s)
+    async def _learn(self, context: AppContext, row: Row[Any]) -> None:
+        body = b"".join([piece async for piece in context.storage.read(row.key)])
+        timeout_s = min(_LIMIT_S, context.settings.summary_timeout_s)
         request = metadata_request_bytes(
             body.decode("utf-8", "replace"),
-            memory_bytes=site.settings.summary_memory_bytes,
+            memory_bytes=context.settings.summary_memory_bytes,
             timeout_s=math.ceil(timeout_s),
         )
         said: Rosbag2Metadata | SummaryFailed | None

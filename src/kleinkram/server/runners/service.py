@@ -16,17 +16,17 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.runners import (
     LEASE_S,
-    Beat,
-    BeatAnswer,
-    BeatAnswers,
-    Beats,
-    Claim,
-    ClaimAsk,
-    Claimed,
-    ClaimInput,
-    RunnerHello,
+    AssignedInput,
+    ClaimReply,
+    ClaimRequest,
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    LeaseStatus,
+    RunAssignment,
     RunnerRead,
-    Verdict,
+    RunnerRegistration,
 )
 from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
 from kleinkram.contract.secrets import SecretKind
@@ -34,14 +34,14 @@ from kleinkram.server.access.actor import Actor, find_person, unexpired
 from kleinkram.server.access.secrets import new_secret
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import Hub, Topic
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.fitting import is_owners_alone, with_limits
 from kleinkram.server.runs.ending import end_run, take_back_lost
-from kleinkram.server.site import Site
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -62,7 +62,7 @@ _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
 _TOKEN_SPARE_S = 3600
 
 
-async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> RunnerRead:
+async def register_runner(db: Connection, actor: Actor, *, hello: RunnerRegistration) -> RunnerRead:
     """Note what a runner is, and that it is there. The first runner that uses a token is the only one from then on.
 
     Raises:
@@ -81,7 +81,7 @@ async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> Runn
     if known is None:
         event = Event("runner.arrive", "runner", hello.id, hello.name, None, after={"labels": list(hello.labels)})
         await record(db, actor, event)
-    await tell(db, [Notice("runner", ChangeKind.changed, hello.id)])
+    await publish(db, [ChangeEvent("runner", ChangeKind.changed, hello.id)])
     row = (await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one()
     return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
 
@@ -112,7 +112,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
-async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerHello) -> None:
+async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerRegistration) -> None:
     stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
     allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
     surplus = sorted(set(hello.labels) - set(allowed)) if allowed is not None else []
@@ -133,7 +133,9 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
     return Page(items=[queries.to_runner(row, projects) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
+async def claim(
+    context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimRequest
+) -> ClaimReply:
     """Give a runner the oldest run that fits what it has free; wait for one, where there is none.
 
     Raises:
@@ -144,19 +146,19 @@ async def claim(site: Site, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, ask
     until = time.monotonic() + asked.wait_s
     with hub.long_poll(runner_id, _QUEUE) as listener:
         while True:
-            async with site.database.begin() as db:
+            async with context.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
             if found is not None or left_s <= 0 or hub.is_over:
-                return Claimed(claim=found)
+                return ClaimReply(run=found)
             await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
 
 
-async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimAsk) -> Claim | None:
+async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimRequest) -> RunAssignment | None:
     await _see(db, actor, runner_id)
     row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
     await take_back_lost(db)
-    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.held))).one_or_none()
+    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.active_run_ids))).one_or_none()
     if unheard is not None:
         return await _given(db, unheard, runner_id, unheard.attempt)
     stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
@@ -190,15 +192,15 @@ async def _may_still(db: Connection, row: Row[Any]) -> bool:
     return level is not None and level >= needed.level
 
 
-async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> Claim:
+async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
     held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
     await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **held))
-    await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     definition = ActionDefinition.model_validate(row.definition)
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
-    return Claim(
+    return RunAssignment(
         run_id=row.id,
         attempt=attempt,
         project_id=row.project_id,
@@ -213,7 +215,7 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
         resources=definition.resources,
         network=definition.network,
         inputs=[
-            ClaimInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
+            AssignedInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
             for each in await db.execute(inputs)
         ],
         token=None if definition.network is Network.none else await _run_token(db, row, definition),
@@ -244,7 +246,9 @@ async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition
     return secret.text
 
 
-async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Beats) -> BeatAnswers:
+async def record_heartbeats(
+    db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Heartbeats
+) -> HeartbeatReplies:
     """Note what a runner's runs are at, hold them for it, and say which are to end.
 
     Raises:
@@ -253,10 +257,10 @@ async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said
     """
     await _see(db, actor, runner_id)
     answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
-    return BeatAnswers(runs=answers, lease_s=LEASE_S)
+    return HeartbeatReplies(runs=answers, lease_s=LEASE_S)
 
 
-async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAnswer:
+async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Heartbeat) -> HeartbeatReply:
     held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
     image = action_version.c.definition["image"].astext.label("image")
@@ -264,7 +268,7 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
     stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
     row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
     if row is None:
-        return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.gone)
+        return HeartbeatReply(run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.lost)
     values = _said(row, beat)
     lease = _LEASE_TO_KEEP if beat.state is RunState.collecting else _LEASE
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
@@ -273,12 +277,14 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
         unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
         await db.execute(update(action_version).where(unpinned).values(image_digest=beat.image_digest))
     if values:
-        await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+        await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_gone
-    return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.cancel if is_over else Verdict.go_on)
+    return HeartbeatReply(
+        run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.cancel if is_over else LeaseStatus.active
+    )
 
 
-def _said(row: Row[Any], beat: Beat) -> dict[str, Any]:
+def _said(row: Row[Any], beat: Heartbeat) -> dict[str, Any]:
     """Return what a beat changes of a run: it never goes back."""
     values: dict[str, Any] = {}
     if beat.state in _ORDER and _ORDER[beat.state] > _ORDER[RunState(row.state)]:

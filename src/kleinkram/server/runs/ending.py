@@ -16,7 +16,7 @@ from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import launching, reading
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
@@ -74,7 +74,7 @@ async def end_run(db: Connection, row: Row[Any], reason: EndReason, message: str
     ended = update(run).where(run.c.id == row.id).values(ended_at=func.now(), **said, **values)
     await db.execute(ended)
     await forget_attempt(db, [row.id], keep_results=reason is not EndReason.lost)
-    await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
 
 
 async def forget_attempt(db: Connection, run_ids: Sequence[uuid.UUID], *, keep_results: bool) -> None:
@@ -113,7 +113,7 @@ async def _queue_again(db: Connection, row: Row[Any]) -> None:
     again = {**fresh, "claimed_at": None, "started_at": None, "samples": [], "lost_count": row.lost_count + 1}
     await db.execute(update(run).where(run.c.id == row.id).values(**again))
     await forget_attempt(db, [row.id], keep_results=False)
-    await tell(db, [Notice("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
 
 
 async def cancel_orphans(db: Connection) -> None:

@@ -17,20 +17,20 @@ from kleinkram.contract.runs import (
     ArtifactUrl,
     FindingRead,
     MetricRead,
+    ReportFilter,
     RunDetail,
     RunFilter,
     RunInput,
     RunRead,
     RunState,
-    SayingFilter,
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_waiting
 from kleinkram.server.runs import queries
-from kleinkram.server.site import Site
 from kleinkram.server.tables import run, run_artifact
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
@@ -140,7 +140,7 @@ async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, pag
 
 
 async def link_artifacts(
-    site: Site, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
+    context: AppContext, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
 ) -> list[ArtifactUrl]:
     """Return where to read artifacts, in the order asked, and note who fetched them.
 
@@ -148,7 +148,7 @@ async def link_artifacts(
         NotFound: one of them is not there, or not for this actor.
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         held = await run_row(db, actor, run_id)
         stmt = queries.artifacts_of(actor, held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
         found = {row.id: row for row in await db.execute(stmt)}
@@ -161,12 +161,12 @@ async def link_artifacts(
         name, project_id = held.action_name, held.project_id
         fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=held.mission_id)
         await record(db, actor, fetched)
-    expires_s = site.settings.download_url_s
+    expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [
         ArtifactUrl(
             artifact=queries.to_artifact(found[each]),
-            url=site.storage.sign_read(found[each].key, path=found[each].path, expires_s=expires_s),
+            url=context.storage.sign_read(found[each].key, path=found[each].path, expires_s=expires_s),
             expires_at=expires_at,
         )
         for each in artifact_ids
@@ -174,7 +174,7 @@ async def link_artifacts(
 
 
 async def list_findings(
-    db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest
+    db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest
 ) -> Page[FindingRead]:
     """Return a page of what runs noticed, latest first.
 
@@ -187,7 +187,7 @@ async def list_findings(
     return Page(items=[queries.to_finding(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def list_metrics(db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest) -> Page[MetricRead]:
+async def list_metrics(db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest) -> Page[MetricRead]:
     """Return a page of the numbers that runs found, latest first.
 
     Raises:
@@ -199,7 +199,7 @@ async def list_metrics(db: Connection, actor: Actor, *, matching: SayingFilter, 
     return Page(items=[queries.to_metric(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def _of_results(db: Connection, actor: Actor, matching: SayingFilter) -> SayingFilter:
+async def _of_results(db: Connection, actor: Actor, matching: ReportFilter) -> ReportFilter:
     if matching.run_id is None:
         return matching
     return matching.model_copy(update={"run_id": await results_of(db, actor, matching.run_id)})

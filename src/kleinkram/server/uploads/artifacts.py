@@ -7,14 +7,15 @@ from typing import Any
 from sqlalchemy import Row, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone, to_problem
+from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.uploads import HeldPart, Present, Refused, Send, UploadDecision, UploadFile, UploadState
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue
-from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
@@ -25,24 +26,24 @@ from kleinkram.server.uploads.signing_parts import is_multipart, renewed
 
 
 async def begin_artifacts(
-    site: Site, actor: Actor, *, row: Row[Any], wanted: Sequence[UploadFile]
+    context: AppContext, actor: Actor, *, row: Row[Any], wanted: Sequence[UploadFile]
 ) -> list[UploadDecision]:
     """Open uploads of what the run `row` left; one that is there already, with the same hash, is not sent again.
 
     Idempotent: asked again, an upload goes on where it was.
     """
     paths = [each.path for each in wanted]
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         await _see_that_it_is_held(db, row.id)
         there = await _there(db, row.id, paths)
         fresh = [each for each in wanted if each.path not in there]
-        ids, begun = await _hold(db, site, row, fresh)
+        ids, begun = await _hold(db, context, row, fresh)
         rows = await _uploads(db, ids)
     try:
         multipart = [each for each in rows.values() if is_multipart(each)]
-        parts = await open_at_store(site, multipart, resumed=set(ids) - set(begun)) if multipart else {}
+        parts = await open_at_store(context, multipart, resumed=set(ids) - set(begun)) if multipart else {}
     except StoreUnavailable:
-        await let_go(site, begun)
+        await let_go(context, begun)
         raise
     by_path = {each.path: each for each in rows.values()}
     return [_answer(actor, each, there.get(each.path), by_path.get(each.path), parts) for each in wanted]
@@ -65,7 +66,7 @@ async def _there(db: Connection, run_id: uuid.UUID, paths: Sequence[str]) -> dic
 
 
 async def _hold(
-    db: Connection, site: Site, row: Row[Any], wanted: Sequence[UploadFile]
+    db: Connection, context: AppContext, row: Row[Any], wanted: Sequence[UploadFile]
 ) -> tuple[list[uuid.UUID], list[uuid.UUID]]:
     """Return the uploads of each path that is wanted, and those of them that were begun now."""
     if not wanted:
@@ -80,10 +81,10 @@ async def _hold(
     ended = update(upload).where(among(upload.c.id, other))
     await db.execute(ended.values(state=UploadState.aborted.value))
     kept = [each.id for each in known.values() if each.id not in other]
-    await db.execute(update(upload).where(among(upload.c.id, kept)).values(**renewed(site.settings, now)))
+    await db.execute(update(upload).where(among(upload.c.id, kept)).values(**renewed(context.settings, now)))
     going_on = {each.path for each in known.values() if each.id in kept}
     values = [
-        {**new_upload(site, row.started_by_id, row.mission_id, batch, each, now), "run_id": row.id}
+        {**new_upload(context, row.started_by_id, row.mission_id, batch, each, now), "run_id": row.id}
         for each in wanted
         if each.path not in going_on
     ]
@@ -108,7 +109,7 @@ def _answer(
         return Send(upload=read_upload(row, parts.get(row.id, [])))
     if wanted.sha256 in {None, there}:
         return Present(file=None)
-    error = FileExists(path=wanted.path, existing_sha256=there, given_sha256=wanted.sha256 or "", existing_file_id=None)
+    error = FileExists(path=wanted.path, existing_sha256=there, sent_sha256=wanted.sha256 or "", existing_file_id=None)
     return Refused(path=wanted.path, problem=to_problem(error, actor.request_id))
 
 

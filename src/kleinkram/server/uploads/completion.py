@@ -18,13 +18,11 @@ from kleinkram.contract.errors import (
     KleinkramError,
     NotFound,
     PathConflict,
-    ProblemDocument,
     UploadGone,
     UploadIncomplete,
-    from_problem,
-    to_problem,
 )
 from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.problems import ProblemDocument, from_problem, to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -38,14 +36,14 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.bulk import insert_rows, unnest_rows
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.sets import given, insert_rows
-from kleinkram.server.site import Site
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.artifacts import make_artifacts
@@ -56,15 +54,17 @@ from kleinkram.server.uploads.signing_parts import is_multipart
 _log = logging.getLogger("kleinkram.uploads")
 
 
-async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[UploadFinish]) -> list[UploadOutcome]:
+async def complete_uploads(
+    context: AppContext, actor: Actor, *, finishes: Sequence[UploadFinish]
+) -> list[UploadOutcome]:
     """Finish uploads whose parts are all sent; one that fails does not hold up the others. Idempotent."""
     failures: Failures = {}
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         rows = await _mark(db, actor, finishes, failures)
     pending = [row for row in rows.values() if row.id not in failures and row.state != UploadState.done.value]
-    failures |= await settle(site, actor, pending)
+    failures |= await settle(context, actor, pending)
     fresh = {row.id for row in pending}
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         columns = (upload.c.id, upload.c.file_id, upload.c.run_id, upload.c.state)
         found = (await db.execute(select(*columns).where(among(upload.c.id, rows)))).all()
         made = {row.id: row.file_id for row in found if row.file_id}
@@ -85,15 +85,15 @@ async def complete_uploads(site: Site, actor: Actor, *, finishes: Sequence[Uploa
     return outcomes
 
 
-async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures:
+async def settle(context: AppContext, actor: Actor, rows: Sequence[Row[Any]]) -> Failures:
     """Take marked uploads to their end at the store and in the database; return those that failed, and why."""
-    failures = await join_at_store(site.storage, rows)
+    failures = await join_at_store(context.storage, rows)
     joined = [row for row in rows if row.id not in failures]
     by_place: dict[tuple[uuid.UUID, uuid.UUID | None], list[Row[Any]]] = {}
     for row in joined:
         by_place.setdefault((row.mission_id, row.run_id), []).append(row)
     for (mission_id, run_id), group in by_place.items():
-        async with site.database.begin() as db:
+        async with context.database.begin() as db:
             if run_id is None:
                 failures |= await _make_files(db, actor, mission_id, group)
             else:
@@ -101,7 +101,7 @@ async def settle(site: Site, actor: Actor, rows: Sequence[Row[Any]]) -> Failures
     if not failures:
         return failures
     ended = {key: error for key, error in failures.items() if not isinstance(error, UploadIncomplete)}
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         await _note_failures(db, actor, failures, ended)
     return failures
 
@@ -121,7 +121,7 @@ async def _mark(
             hashes = {"sha256": bytes.fromhex(finish.sha256), "crc64nvme": bytes.fromhex(finish.crc64nvme)}
             marks[row.id] = {"id": row.id, **hashes}
     if marks:
-        said = given([upload.c.id, upload.c.sha256, upload.c.crc64nvme], [*marks.values()])
+        said = unnest_rows([upload.c.id, upload.c.sha256, upload.c.crc64nvme], [*marks.values()])
         stated = {"sha256": said.c.sha256, "crc64nvme": said.c.crc64nvme}
         marked = {"state": UploadState.completing.value, "completing_since": func.now(), **stated}
         await db.execute(update(upload).where(upload.c.id == said.c.id).values(**marked))
@@ -180,7 +180,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
             failures[row.id] = FileExists(
                 path=row.path,
                 existing_sha256=there.sha256.hex() if may_read else None,
-                given_sha256=row.sha256.hex(),
+                sent_sha256=row.sha256.hex(),
                 existing_file_id=str(there.id) if may_read else None,
             )
     made |= await _insert(db, actor, mission_id, fresh, existing)
@@ -247,11 +247,11 @@ async def _close(db: Connection, mission_id: uuid.UUID, made: Mapping[uuid.UUID,
     # What a blob does not use (the same bytes came in by another way) is cleaned by the sweep.
     kept = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
     rows = [{"id": upload_id, "file_id": file_id} for upload_id, file_id in made.items()]
-    said = given([upload.c.id, upload.c.file_id], rows)
+    said = unnest_rows([upload.c.id, upload.c.file_id], rows)
     cleaned_at = case((kept, func.now()), else_=upload.c.cleaned_at)
     values = {"state": UploadState.done.value, "file_id": said.c.file_id, "cleaned_at": cleaned_at}
     await db.execute(update(upload).where(upload.c.id == said.c.id).values(**values))
-    await tell(db, [Notice("upload", ChangeKind.removed, each, mission_id=mission_id) for each in made])
+    await publish(db, [ChangeEvent("upload", ChangeKind.removed, each, mission_id=mission_id) for each in made])
 
 
 async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended: Failures) -> None:
@@ -268,38 +268,44 @@ async def _note_failures(db: Connection, actor: Actor, failures: Failures, ended
         values = {"state": UploadState.aborted.value, "failure": failure}
         changed = update(upload).where(upload.c.id == upload_id, completing).values(**values)
         rows = await db.execute(changed.returning(upload.c.id, upload.c.mission_id))
-        await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id) for row in rows])
+        await publish(
+            db, [ChangeEvent("upload", ChangeKind.removed, row.id, mission_id=row.mission_id) for row in rows]
+        )
 
 
-async def finish_cut_off(site: Site, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]) -> None:
+async def finish_cut_off(
+    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
+) -> None:
     """Finish those of `actor`'s uploads that were being completed when their client died, and are now gone on with.
 
     Raises:
         StoreUnavailable: the store cannot be asked what came of them.
     """
     going_on = among(upload.c.id, [each.upload_id for each in wanted if each.upload_id])
-    await _finish(site, actor, (upload.c.mission_id == mission_id) & going_on)
+    await _finish(context, actor, (upload.c.mission_id == mission_id) & going_on)
 
 
-async def finish_cut_off_artifacts(site: Site, actor: Actor, *, run_id: uuid.UUID, paths: Sequence[str]) -> None:
+async def finish_cut_off_artifacts(
+    context: AppContext, actor: Actor, *, run_id: uuid.UUID, paths: Sequence[str]
+) -> None:
     """Finish what a run left and its runner was completing when it was killed.
 
     Raises:
         StoreUnavailable: the store cannot be asked what came of it.
     """
-    await _finish(site, actor, (upload.c.run_id == run_id) & among(upload.c.path, paths))
+    await _finish(context, actor, (upload.c.run_id == run_id) & among(upload.c.path, paths))
 
 
-async def _finish(site: Site, actor: Actor, which: ColumnElement[bool]) -> None:
+async def _finish(context: AppContext, actor: Actor, which: ColumnElement[bool]) -> None:
     marked = select(upload.c.id).where(which, upload.c.state == UploadState.completing.value)
-    async with site.database.autocommit() as db:
+    async with context.database.autocommit() as db:
         cut = (await db.execute(marked)).scalars().all()  # seldom any: whose they are is asked of these alone
         rows = (await db.execute(queries.own_uploads(actor).where(among(upload.c.id, cut)))).all() if cut else []
     if rows:
-        await settle(site, actor, rows)
+        await settle(context, actor, rows)
 
 
-async def finish_stale(site: Site, *, older_than_s: float) -> int:
+async def finish_stale(context: AppContext, *, older_than_s: float) -> int:
     """Finish what a crash left between mark and finish; return how many uploads were looked at."""
     before = func.now() - datetime.timedelta(seconds=older_than_s)
     statement = (
@@ -308,24 +314,24 @@ async def finish_stale(site: Site, *, older_than_s: float) -> int:
         .order_by(upload.c.completing_since)
         .limit(500)
     )
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         rows = (await db.execute(statement)).all()
     for row in rows:
-        await _settle_for(site, row)
+        await _settle_for(context, row)
     return len(rows)
 
 
-async def _settle_for(site: Site, row: Row[Any]) -> None:
+async def _settle_for(context: AppContext, row: Row[Any]) -> None:
     """Take an upload to its end in the name of whoever began it, with the rights that they have now."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         actor = await find_person(db, row.person_id)
         if actor is None:
             left = {"state": UploadState.aborted.value}
             await db.execute(update(upload).where(upload.c.id == row.id).values(**left))
-            await tell(db, [Notice("upload", ChangeKind.removed, row.id, mission_id=row.mission_id)])
+            await publish(db, [ChangeEvent("upload", ChangeKind.removed, row.id, mission_id=row.mission_id)])
     if actor is None:
         return
     try:
-        await settle(site, actor.asking("complete_uploads", request_id=None, address=None), [row])
+        await settle(context, actor.asking("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # one that cannot be finished yet does not hold up the others
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})

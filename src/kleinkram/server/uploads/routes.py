@@ -23,10 +23,10 @@ router = APIRouter(prefix="/api/v1", tags=["uploads"])
 
 
 @router.post("/missions/{mission_id}/uploads", operation_id="begin_uploads")
-async def begin(mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, site: CurrentSite) -> UploadDecisions:
+async def begin(mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, context: CurrentSite) -> UploadDecisions:
     """Say what you want to upload, and hear what to send."""
-    await completion.finish_cut_off(site, actor, mission_id=mission_id, wanted=body.files)
-    return UploadDecisions(items=await service.begin_uploads(site, actor, mission_id=mission_id, wanted=body.files))
+    await completion.finish_cut_off(context, actor, mission_id=mission_id, wanted=body.files)
+    return UploadDecisions(items=await service.begin_uploads(context, actor, mission_id=mission_id, wanted=body.files))
 
 
 @router.get("/missions/{mission_id}/uploads", operation_id="list_uploads")
@@ -42,24 +42,24 @@ async def list_open(
 
 
 @router.get("/uploads/{upload_id}", operation_id="get_upload")
-async def get(upload_id: uuid.UUID, actor: CurrentActor, site: CurrentSite) -> UploadRead:
+async def get(upload_id: uuid.UUID, actor: CurrentActor, context: CurrentSite) -> UploadRead:
     """Get one of your uploads, with the parts that the store holds."""
-    return await service.get_upload(site, actor, upload_id=upload_id)
+    return await service.get_upload(context, actor, upload_id=upload_id)
 
 
 @router.post("/uploads/parts", operation_id="sign_parts")
-async def sign(body: PartsSign, actor: CurrentActor, site: CurrentSite) -> SignedParts:
+async def sign(body: PartsSign, actor: CurrentActor, context: CurrentSite) -> SignedParts:
     """Get the addresses to send parts to; this also renews the leases of their uploads."""
-    return SignedParts(items=await signing_parts.sign_parts(site, actor, wanted=body.parts))
+    return SignedParts(items=await signing_parts.sign_parts(context, actor, wanted=body.parts))
 
 
 @router.post("/uploads/complete", operation_id="complete_uploads")
-async def complete(body: UploadsComplete, actor: CurrentActor, site: CurrentSite) -> UploadOutcomes:
+async def complete(body: UploadsComplete, actor: CurrentActor, context: CurrentSite) -> UploadOutcomes:
     """Finish uploads whose parts are all sent."""
-    return UploadOutcomes(items=await completion.complete_uploads(site, actor, finishes=body.uploads))
+    return UploadOutcomes(items=await completion.complete_uploads(context, actor, finishes=body.uploads))
 
 
 @router.delete("/uploads/{upload_id}", operation_id="abort_upload", status_code=204)
-async def abort(upload_id: uuid.UUID, actor: CurrentActor, site: CurrentSite) -> None:
+async def abort(upload_id: uuid.UUID, actor: CurrentActor, context: CurrentSite) -> None:
     """Give up an upload."""
-    await service.abort_upload(site, actor, upload_id=upload_id)
+    await service.abort_upload(context, actor, upload_id=upload_id)

@@ -12,17 +12,12 @@ from typing import Any
 
 from sqlalchemy import Row, func, select, update
 
-from kleinkram.contract.errors import (
-    NameLeased,
-    NotFound,
-    PathConflict,
-    StoreUnavailable,
-    to_problem,
-)
+from kleinkram.contract.errors import NameLeased, NotFound, PathConflict, StoreUnavailable
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -41,15 +36,15 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.changes import Notice, tell
+from kleinkram.server.bulk import upsert_rows
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pages import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
-from kleinkram.server.sets import upsert_rows
-from kleinkram.server.site import Site
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
@@ -62,7 +57,7 @@ _AT_ONCE = 16
 
 
 async def begin_uploads(
-    site: Site, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
+    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
 ) -> list[UploadDecision]:
     """Decide about each file, hold the names of those to be sent, and open them at the store.
 
@@ -73,34 +68,34 @@ async def begin_uploads(
         Forbidden: they may see it, but put nothing into it.
         QuotaExceeded: its project has no room for those that are not there yet; none of them was begun.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         await missions.lock_mission_to_fill(db, actor, mission_id)
         decisions, asked = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
         await _take_over(db, decisions)
         await require_room(db, actor, project_id=await project_of(db, mission_id), asked=asked)
-        decisions = await _hold_names(db, site, actor, mission_id=mission_id, decisions=decisions)
+        decisions = await _hold_names(db, context, actor, mission_id=mission_id, decisions=decisions)
         decisions = await link_twins(db, actor, mission_id=mission_id, decisions=decisions)
         held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
         rows = await queries.locked_uploads(db, actor, held)
     try:
         multipart = [row for row in rows.values() if is_multipart(row)]
         resumed = {decision.ref for decision in decisions if decision.way is Way.resume and decision.ref}
-        parts = await open_at_store(site, multipart, resumed=resumed) if multipart else {}
+        parts = await open_at_store(context, multipart, resumed=resumed) if multipart else {}
         # So much may be sent and not yet completed that to send it again would take long.
-        parts |= await held_whole(site.storage, [rows[each] for each in resumed])
+        parts |= await held_whole(context.storage, [rows[each] for each in resumed])
     except StoreUnavailable:
-        await let_go(site, [decision.ref for decision in decisions if decision.way is Way.begin])
+        await let_go(context, [decision.ref for decision in decisions if decision.way is Way.begin])
         raise
     reads: dict[uuid.UUID, FileRead] = {}
     if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
-        async with site.database.begin() as db:
+        async with context.database.begin() as db:
             reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
-    return [_answer(site, actor, decision, rows, parts, reads) for decision in decisions]
+    return [_answer(context, actor, decision, rows, parts, reads) for decision in decisions]
 
 
-async def let_go(site: Site, upload_ids: Sequence[uuid.UUID | None]) -> None:
+async def let_go(context: AppContext, upload_ids: Sequence[uuid.UUID | None]) -> None:
     """Free names whose holder never heard of it."""
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         unheard = upload.c.id.in_([each for each in upload_ids if each]) & (upload.c.state == UploadState.open.value)
         await db.execute(update(upload).where(unheard).values(state=UploadState.aborted.value))
 
@@ -142,11 +137,13 @@ async def _take_over(db: Connection, decisions: Sequence[Decision]) -> None:
 
 
 async def _hold_names(
-    db: Connection, site: Site, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
+    db: Connection, context: AppContext, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
 ) -> list[Decision]:
     resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
     if resumed:
-        await db.execute(update(upload).where(among(upload.c.id, resumed)).values(**renewed(site.settings, func.now())))
+        await db.execute(
+            update(upload).where(among(upload.c.id, resumed)).values(**renewed(context.settings, func.now()))
+        )
     begun = [decision for decision in decisions if decision.way is Way.begin]
     if not begun:
         return decisions
@@ -155,15 +152,15 @@ async def _hold_names(
     now = (await db.execute(select(func.now()))).scalar_one()
     asked_for = [decision.wanted.upload_id for decision in begun if decision.wanted.upload_id]
     used = await queries.used_ids(db, asked_for) if asked_for else frozenset()
-    rows = [new_upload(site, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
+    rows = [new_upload(context, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
     statement = upsert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement)}
-    await tell(db, [Notice("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
+    await publish(db, [ChangeEvent("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
     return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
 
 
 def new_upload(
-    site: Site,
+    context: AppContext,
     person_id: uuid.UUID | None,
     mission_id: uuid.UUID,
     batch: uuid.UUID,
@@ -183,12 +180,12 @@ def new_upload(
         "path_key": name_key(wanted.path),
         "size_bytes": wanted.size_bytes,
         "part_size_bytes": part_size_bytes(wanted.size_bytes),
-        "checksum": site.storage.checksum.value,
-        "signed_checksum": first_checksum(site.storage, wanted),
-        "store_id": site.settings.store_id,
+        "checksum": context.storage.checksum.value,
+        "signed_checksum": first_checksum(context.storage, wanted),
+        "store_id": context.settings.store_id,
         # One prefix a request: its small files are then found with one listing.
         "key": f"{batch}/{upload_id}{_viewable_suffix(wanted.path)}",
-        **renewed(site.settings, now),
+        **renewed(context.settings, now),
     }
 
 
@@ -205,7 +202,7 @@ def _held(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
 
 
 async def open_at_store(
-    site: Site, rows: Sequence[Row[Any]], *, resumed: Collection[uuid.UUID] = ()
+    context: AppContext, rows: Sequence[Row[Any]], *, resumed: Collection[uuid.UUID] = ()
 ) -> dict[uuid.UUID, list[HeldPart]]:
     """Open the multipart uploads that are not open yet, and return the parts that the store holds of each.
 
@@ -216,18 +213,18 @@ async def open_at_store(
     async def open_one(row: Row[Any]) -> tuple[uuid.UUID, str, list[HeldPart]]:
         async with gate:
             if row.multipart_id is not None:
-                held = await site.storage.held_parts(row.key, row.multipart_id)
+                held = await context.storage.held_parts(row.key, row.multipart_id)
                 if held is not None:
                     return row.id, row.multipart_id, held
             elif row.id in resumed:
-                for _, multipart_id in await site.storage.open_multiparts(row.key):
-                    return row.id, multipart_id, await site.storage.held_parts(row.key, multipart_id) or []
-            return row.id, await site.storage.begin_multipart(row.key), []
+                for _, multipart_id in await context.storage.open_multiparts(row.key):
+                    return row.id, multipart_id, await context.storage.held_parts(row.key, multipart_id) or []
+            return row.id, await context.storage.begin_multipart(row.key), []
 
     answers = await asyncio.gather(*(open_one(row) for row in rows), return_exceptions=True)
     opened = [answer for answer in answers if not isinstance(answer, BaseException)]
     fresh = {row.id: row.multipart_id for row in rows}
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         for upload_id, multipart_id, _ in opened:
             if fresh[upload_id] != multipart_id:
                 await db.execute(update(upload).where(upload.c.id == upload_id).values(multipart_id=multipart_id))
@@ -254,7 +251,7 @@ def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
 
 
 def _answer(
-    site: Site,
+    context: AppContext,
     actor: Actor,
     decision: Decision,
     rows: Mapping[uuid.UUID, Row[Any]],
@@ -265,7 +262,7 @@ def _answer(
         return Refused(path=decision.wanted.path, problem=to_problem(decision.error, actor.request_id))
     if decision.way in {Way.begin, Way.resume} and decision.ref is not None:
         row = rows[decision.ref]
-        return Send(upload=read_upload(row, parts.get(row.id, [])), part=sign_first(site, row, decision.wanted))
+        return Send(upload=read_upload(row, parts.get(row.id, [])), part=sign_first(context, row, decision.wanted))
     read = reads.get(decision.ref) if decision.ref else None
     if decision.way is Way.present and Scope.read not in actor.scopes:
         return Present(file=read)
@@ -274,13 +271,13 @@ def _answer(
     return Present(file=read) if decision.way is Way.present else Linked(file=read)
 
 
-async def abort_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> None:
+async def abort_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID) -> None:
     """End an upload that is still open; its parts go soon. Nothing happens to one that has ended.
 
     Raises:
         NotFound: `actor` began no such upload.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         rows = await queries.locked_uploads(db, actor, [upload_id])
         if upload_id not in rows:
             raise NotFound(noun="upload", ref=str(upload_id))
@@ -296,22 +293,22 @@ async def _aborted(db: Connection, row: Row[Any]) -> Event:
     return Event("upload.abort", "upload", row.id, row.path, project_id, mission_id=row.mission_id)
 
 
-async def get_upload(site: Site, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:
+async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:
     """Return an upload with the parts that the store holds.
 
     Raises:
         NotFound: `actor` began no such upload.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         row = (await db.execute(queries.own_uploads(actor).where(upload.c.id == upload_id))).one_or_none()
     if row is None:
         raise NotFound(noun="upload", ref=str(upload_id))
     held: list[HeldPart] | None = None
     if row.state == UploadState.open.value:
         if row.multipart_id is not None:
-            held = await site.storage.held_parts(row.key, row.multipart_id)
+            held = await context.storage.held_parts(row.key, row.multipart_id)
         else:
-            held = (await held_whole(site.storage, [row])).get(row.id)
+            held = (await held_whole(context.storage, [row])).get(row.id)
     return read_upload(row, held or [])
 
 

@@ -22,10 +22,10 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.changes import Notice, tell
-from kleinkram.server.sets import given
+from kleinkram.server.bulk import unnest_rows
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
 from kleinkram.server.settings import Settings
-from kleinkram.server.site import Site
 from kleinkram.server.storage import PartTarget, Storage
 from kleinkram.server.tables import upload
 from kleinkram.server.uploads import queries
@@ -51,36 +51,36 @@ def renewed(settings: Settings, now: Any) -> dict[str, Any]:
     }
 
 
-async def sign_parts(site: Site, actor: Actor, *, wanted: Sequence[PartToSign]) -> list[SignedPart]:
+async def sign_parts(context: AppContext, actor: Actor, *, wanted: Sequence[PartToSign]) -> list[SignedPart]:
     """Return where to send parts, in the order asked, and renew the leases of their uploads.
 
     Raises:
         UploadGone: an upload has ended, or a file of one part was announced with another checksum before.
         InvalidRequest: a part that the file does not have.
     """
-    async with site.database.begin() as db:
+    async with context.database.begin() as db:
         ids = {part.upload_id for part in wanted}
         rows = await queries.locked_uploads(db, actor, ids)
         for part in wanted:
             _check_signable(rows.get(part.upload_id), part)
         checksums = {p.upload_id: None if is_multipart(rows[p.upload_id]) else p.checksum for p in wanted}
-        await db.execute(_renewal(site.settings, checksums))
-        await tell(db, [_progress(row) for row in rows.values() if _is_worth_telling(row, site.settings)])
-    expires_at = _end(site.settings)
-    return [_sign(site, rows[part.upload_id], part, expires_at) for part in wanted]
+        await db.execute(_renewal(context.settings, checksums))
+        await publish(db, [_progress(row) for row in rows.values() if _is_worth_telling(row, context.settings)])
+    expires_at = _end(context.settings)
+    return [_sign(context, rows[part.upload_id], part, expires_at) for part in wanted]
 
 
 def _renewal(settings: Settings, checksums: Mapping[uuid.UUID, str | None]) -> Update:
     """Return what renews leases, and writes down what files of one part are signed for."""
     rows = [{"id": upload_id, "signed_checksum": checksum} for upload_id, checksum in checksums.items()]
-    said = given([upload.c.id, upload.c.signed_checksum], rows)
+    said = unnest_rows([upload.c.id, upload.c.signed_checksum], rows)
     signed_checksum = func.coalesce(upload.c.signed_checksum, said.c.signed_checksum)
     renewing = update(upload).where(upload.c.id == said.c.id)
     return renewing.values(**renewed(settings, func.now()), signed_checksum=signed_checksum)
 
 
-def _progress(row: Row[Any]) -> Notice:
-    return Notice("upload", ChangeKind.changed, row.id, mission_id=row.mission_id)
+def _progress(row: Row[Any]) -> ChangeEvent:
+    return ChangeEvent("upload", ChangeKind.changed, row.id, mission_id=row.mission_id)
 
 
 def _is_worth_telling(row: Row[Any], settings: Settings) -> bool:
@@ -116,23 +116,23 @@ def first_checksum(storage: Storage, wanted: UploadFile) -> str | None:
     return announced.get(storage.checksum)
 
 
-def sign_first(site: Site, row: Row[Any], wanted: UploadFile) -> SignedPart | None:
+def sign_first(context: AppContext, row: Row[Any], wanted: UploadFile) -> SignedPart | None:
     """Return where the only part of a file goes, once the row says that it is signed for what is announced."""
-    checksum = first_checksum(site.storage.proving_by(ChecksumKind(row.checksum)), wanted)
+    checksum = first_checksum(context.storage.proving_by(ChecksumKind(row.checksum)), wanted)
     if checksum is None or row.signed_checksum != checksum:
         return None
-    return _sign(site, row, PartToSign(upload_id=row.id, number=1, checksum=checksum), _end(site.settings))
+    return _sign(context, row, PartToSign(upload_id=row.id, number=1, checksum=checksum), _end(context.settings))
 
 
 def _end(settings: Settings) -> datetime.datetime:
     return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=settings.part_url_s)
 
 
-def _sign(site: Site, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
+def _sign(context: AppContext, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
     size_bytes = expected_part_bytes(row, part.number)
     target = PartTarget(row.key, row.multipart_id, part.number, size_bytes, part.checksum)
-    storage = site.storage.proving_by(ChecksumKind(row.checksum))
-    signed = storage.sign_part(target, expires_s=site.settings.part_url_s)
+    storage = context.storage.proving_by(ChecksumKind(row.checksum))
+    signed = storage.sign_part(target, expires_s=context.settings.part_url_s)
     return SignedPart(
         upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
     )

@@ -1,7 +1,7 @@
 // What the pages of actions ask the server.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/editions";
+import { ifStill, ledTo, type Looked } from "@/api/etags";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { Action, ActionVersion } from "@/api/types";
@@ -51,9 +51,9 @@ export function useArchiving(actionId: string) {
   const queries = useQueryClient();
   const path = { action_id: actionId };
   return useMutation({
-    mutationFn: ({ edition, ...body }: { readonly archived: boolean } & Looked) =>
-      call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifStill(edition) }, body })),
-    onSuccess: (action, { edition }) => ledTo(edition, action.edition),
+    mutationFn: ({ etag, ...body }: { readonly archived: boolean } & Looked) =>
+      call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifStill(etag) }, body })),
+    onSuccess: (action, { etag }) => ledTo(etag, action.etag),
     // Also where it was refused: somebody else may have come first.
     onSettled: () => queries.invalidateQueries({ queryKey: ["actions"] }),
   });

@@ -2,7 +2,7 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import type { Ref } from "vue";
 import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/editions";
+import { ifStill, ledTo, type Looked } from "@/api/etags";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
@@ -72,10 +72,10 @@ export function useFileChanges(fileId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ edition, ...body }: Change & Looked) =>
-      call(api.PATCH("/api/v1/files/{file_id}", { params: { path, header: ifStill(edition) }, body })),
-    onSuccess: (file, { edition }) => {
-      ledTo(edition, file.edition);
+    mutationFn: ({ etag, ...body }: Change & Looked) =>
+      call(api.PATCH("/api/v1/files/{file_id}", { params: { path, header: ifStill(etag) }, body })),
+    onSuccess: (file, { etag }) => {
+      ledTo(etag, file.etag);
       queries.setQueryData(keys.file(fileId), file);
       old();
     },

@@ -1,7 +1,7 @@
 // What the pages of groups ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { ifStill, ledTo } from "@/api/editions";
+import { ifStill, ledTo } from "@/api/etags";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { components } from "@/api/schema";
@@ -57,18 +57,18 @@ export function useGroupChanges() {
   const one = (groupId: string) => ({ path: { group_id: groupId } });
   const member = (groupId: string, personId: string) => ({ path: { group_id: groupId, person_id: personId } });
 
-  async function rename(groupId: string, name: string, edition?: string): Promise<void> {
-    const params = { ...one(groupId), header: ifStill(edition) };
+  async function rename(groupId: string, name: string, etag?: string): Promise<void> {
+    const params = { ...one(groupId), header: ifStill(etag) };
     const renamed = await done(call(api.PATCH("/api/v1/groups/{group_id}", { params, body: { name } })));
-    ledTo(edition, renamed.edition);
+    ledTo(etag, renamed.etag);
   }
 
   return {
     create: (name: string) => done(call(api.POST("/api/v1/groups", { body: { name } }))),
     rename,
     remove: (groupId: string) => done(call(api.DELETE("/api/v1/groups/{group_id}", { params: one(groupId) }))),
-    setMember: (groupId: string, personId: string, body: MemberSet, edition?: string) => {
-      const params = { ...member(groupId, personId), header: ifStill(edition) };
+    setMember: (groupId: string, personId: string, body: MemberSet, etag?: string) => {
+      const params = { ...member(groupId, personId), header: ifStill(etag) };
       return done(call(api.PUT("/api/v1/groups/{group_id}/members/{person_id}", { params, body })));
     },
     removeMember: (groupId: string, personId: string) =>

@@ -1,7 +1,7 @@
 // What the page of a mission asks the server, and what it has it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/editions";
+import { ifStill, ledTo, type Looked } from "@/api/etags";
 import { keys } from "@/api/keys";
 import type { components } from "@/api/schema";
 import type { File, Recording } from "@/api/types";
@@ -143,10 +143,10 @@ export function useMissionChanges(missionId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ edition, ...body }: MissionChange & Looked) =>
-      call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path, header: ifStill(edition) }, body })),
-    onSuccess: (mission, { edition }) => {
-      ledTo(edition, mission.edition);
+    mutationFn: ({ etag, ...body }: MissionChange & Looked) =>
+      call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path, header: ifStill(etag) }, body })),
+    onSuccess: (mission, { etag }) => {
+      ledTo(etag, mission.etag);
       queries.setQueryData(keys.mission(missionId), mission);
       old();
     },

@@ -2,7 +2,7 @@
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/editions";
+import { ifStill, ledTo, type Looked } from "@/api/etags";
 import { keys } from "@/api/keys";
 import { usePages } from "@/api/pages";
 import type { components, operations } from "@/api/schema";
@@ -93,10 +93,10 @@ export function useProjectChanges(projectId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ edition, ...body }: ProjectChange & Looked) =>
-      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifStill(edition) }, body })),
-    onSuccess: (project, { edition }) => {
-      ledTo(edition, project.edition);
+    mutationFn: ({ etag, ...body }: ProjectChange & Looked) =>
+      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifStill(etag) }, body })),
+    onSuccess: (project, { etag }) => {
+      ledTo(etag, project.etag);
       queries.setQueryData(keys.project(projectId), project);
       old();
     },

@@ -1,0 +1,64 @@
+"""Publish changes inside the transaction that makes them; PostgreSQL delivers them (NOTIFY) once it commits.
+
+One statement for any number of changes. An event names what changed and where, never its content: `events` decides who
+may receive it.
+"""
+
+import json
+import uuid
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, replace
+
+from sqlalchemy import text
+
+from kleinkram.contract.events import ChangeKind
+from kleinkram.server.db import Connection
+
+CHANNEL = "kleinkram_changes"
+EVERYTHING = "*"
+"""Published instead of more than `_MAX_EVENTS` events: subscribers must reload everything."""
+_MAX_EVENTS = 100
+_NOTIFY = text("SELECT pg_notify(:channel, payload) FROM unnest(CAST(:payloads AS text[])) AS payload")
+
+
+@dataclass(frozen=True)
+class ChangeEvent:
+    """One change. Without an id, it concerns several objects of the noun. `by_id` is the person who made the change."""
+
+    noun: str
+    change: ChangeKind
+    id: uuid.UUID | None = None
+    project_id: uuid.UUID | None = None
+    mission_id: uuid.UUID | None = None
+    by_id: uuid.UUID | None = None
+
+
+async def publish(db: Connection, events: Iterable[ChangeEvent]) -> None:
+    """Publish events as part of the caller's transaction; several of one noun in one place become one event."""
+    payloads = [_to_json(event) for event in merge_events(events, max_alike=1)]
+    if payloads:
+        payloads = payloads if len(payloads) <= _MAX_EVENTS else [EVERYTHING]
+        await db.execute(_NOTIFY, {"channel": CHANNEL, "payloads": payloads})
+
+
+def merge_events(events: Iterable[ChangeEvent], *, max_alike: int) -> list[ChangeEvent]:
+    """Return events in order; more than `max_alike` that differ only by id become one event without an id."""
+    alike: dict[ChangeEvent, list[ChangeEvent]] = defaultdict(list)
+    for event in dict.fromkeys(events):
+        alike[replace(event, id=None)].append(event)
+    return [event for merged, group in alike.items() for event in _merge_group(merged, group, max_alike)]
+
+
+def read_event(payload: str) -> ChangeEvent:
+    """Return the event that a payload holds."""
+    noun, change, *ids = json.loads(payload)
+    return ChangeEvent(noun, ChangeKind(change), *(uuid.UUID(value) if value else None for value in ids))
+
+
+def _merge_group(merged: ChangeEvent, group: Sequence[ChangeEvent], max_alike: int) -> Sequence[ChangeEvent]:
+    return group if len(group) <= max_alike and merged not in group else [merged]
+
+
+def _to_json(event: ChangeEvent) -> str:
+    return json.dumps(astuple(event), default=str)

@@ -1,0 +1,16 @@
+"""What services need across transactions: the database, the object store and the settings of one process."""
+
+from dataclasses import dataclass
+
+from kleinkram.server.db import Database
+from kleinkram.server.settings import Settings
+from kleinkram.server.storage import Storage
+
+
+@dataclass(frozen=True)
+class AppContext:
+    """The shared resources of one process."""
+
+    database: Database
+    storage: Storage
+    settings: Settings
