@@ -14,7 +14,7 @@ import psycopg
 import pytest
 import urllib3
 
-from kleinkram.server.migrations.upgrading import migrate
+from kleinkram.server.migrations.migrate import migrate
 from kleinkram.standalone import binaries, child
 from kleinkram.standalone import postgres as pg
 from tests.integration.upload_client import wait_until

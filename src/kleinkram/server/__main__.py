@@ -61,12 +61,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _migrate(settings: Settings) -> None:
-    from kleinkram.server.migrations.upgrading import MigrationBlocked, SchemaTooNew, migrate
+    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
     try:
         migrate(url, settings.serving_role)
-    except (MigrationBlocked, SchemaTooNew) as error:
+    except (MigrationBlocked, SchemaUnsupported) as error:
         sys.exit(str(error))
 
 

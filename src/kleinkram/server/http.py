@@ -23,8 +23,8 @@ from kleinkram.contract.errors import (
     NotFound,
     RateLimited,
     WrongClient,
-    to_problem,
 )
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.wording import message_of
 from kleinkram.server import metrics
 from kleinkram.server.audit.places import named

@@ -85,7 +85,9 @@ async def limit(database: Database, *counts: Count) -> None:
     for row in await _counted(database, held):
         most = held[row.key].most
         if row.asked > most:
-            raise RateLimited(what=held[row.key].what, most=most, per_s=WINDOW_S, retry_after_s=max(1, int(row.left_s)))
+            raise RateLimited(
+                what=held[row.key].what, limit=most, window_s=WINDOW_S, retry_after_s=max(1, int(row.left_s))
+            )
 
 
 async def turn_of(database: Database, count: Count) -> float:
@@ -109,7 +111,7 @@ async def turn_of(database: Database, count: Count) -> float:
             if (row := taken.one_or_none()) is not None:
                 return max(0.0, float(row[0]))
     retry_after_s = int(_TURNS_AHEAD * _TURN.total_seconds())
-    raise RateLimited(what=count.what, most=count.most, per_s=WINDOW_S, retry_after_s=retry_after_s)
+    raise RateLimited(what=count.what, limit=count.most, window_s=WINDOW_S, retry_after_s=retry_after_s)
 
 
 async def _counted(database: Database, held: Mapping[str, Count]) -> Sequence[Row[Any]]:

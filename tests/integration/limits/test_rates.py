@@ -54,7 +54,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
         assert api.call(method, path, body).status in {200, 404}
     answer = api.call(method, path, body)
     problem = answer.refused(429, "rate_limited")
-    assert (problem["what"], problem["most"], problem["per_s"]) == (what, 3, 60)
+    assert (problem["what"], problem["limit"], problem["window_s"]) == (what, 3, 60)
     assert int(answer.headers["retry-after"]) == problem["retry_after_s"] > 0
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import uuid
 
-from kleinkram.contract.errors import UploadGone, to_problem
+from kleinkram.contract.errors import UploadGone
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
     ChecksumKind,

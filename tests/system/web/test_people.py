@@ -59,7 +59,7 @@ def test_somebody_comes_is_let_in_and_leaves(cluster: Cluster, act: Act, picture
     assert seen["power"] == [200, 403]
     assert seen["reset"] == [401, 200], "a new password ends the sessions of the old one"
     assert seen["gone"][0] == 401
-    assert "do not belong together" in seen["gone"][1], "whoever knows a password learns no more than a stranger"
+    assert "is wrong" in seen["gone"][1], "whoever knows a password learns no more than a stranger"
     assert seen["returned"] == 200
     assert seen["failed"] == 1
     ended = "SELECT status::text FROM procrastinate_jobs WHERE id = %s"

@@ -177,7 +177,7 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     await db.execute(locked)
     found = await get_action(db, actor, action_id)
     if not found.may_change:
-        needs = "WRITE on its project" if found.project else "its maker or an admin"
+        needs = "WRITE on its project" if found.project else "admin rights, or to be the person who created it"
         raise Forbidden(noun="action", operation="change the action", needs=needs)
     return found
 

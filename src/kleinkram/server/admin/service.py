@@ -98,7 +98,7 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
 async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
-        raise NotAuthenticated(reason="a scrub is asked for by somebody")
+        raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))

@@ -137,7 +137,7 @@ class Hub:
         """
         own = Counter(self._listeners.values())[person_id]
         if own >= MOST_STREAMS or len(self._listeners) >= _MOST_STREAMS_OF_ALL:
-            raise TooManyStreams(most=MOST_STREAMS)
+            raise TooManyStreams(limit=MOST_STREAMS)
 
     @contextmanager
     def listening(self, person_id: uuid.UUID | None, *, after: str | None) -> Iterator[Listener]:
@@ -161,7 +161,7 @@ class Hub:
         """
         own = Counter(self._long_polls.values())[account_id]
         if own >= MOST_LONG_POLLS or len(self._long_polls) >= _MOST_LONG_POLLS_OF_ALL:
-            raise TooManyStreams(most=MOST_LONG_POLLS)
+            raise TooManyStreams(limit=MOST_LONG_POLLS)
         listener = Listener(topic)
         self._long_polls[listener] = account_id
         try:

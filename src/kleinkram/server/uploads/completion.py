@@ -18,13 +18,11 @@ from kleinkram.contract.errors import (
     KleinkramError,
     NotFound,
     PathConflict,
-    ProblemDocument,
     UploadGone,
     UploadIncomplete,
-    from_problem,
-    to_problem,
 )
 from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.problems import ProblemDocument, from_problem, to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -182,7 +180,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
             failures[row.id] = FileExists(
                 path=row.path,
                 existing_sha256=there.sha256.hex() if may_read else None,
-                given_sha256=row.sha256.hex(),
+                sent_sha256=row.sha256.hex(),
                 existing_file_id=str(there.id) if may_read else None,
             )
     made |= await _insert(db, actor, mission_id, fresh, existing)
