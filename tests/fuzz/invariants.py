@@ -10,8 +10,8 @@ from pathlib import Path
 from kleinkram.recordings import Content, FileSource, RecordingSummary, from_dict, summarise, to_dict
 from kleinkram.recordings.decoding import image, points
 from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.forward import from_file
 from kleinkram.recordings.reading import NotARecording, Recording, TooDisordered
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed
 

@@ -10,9 +10,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import CountingSource, FileSource, Lost
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap.index import read_footer
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
 from kleinkram.server.settings import Settings
@@ -42,7 +42,7 @@ def test_a_flipped_byte_is_found_by_the_proof(api: Api, mission_id: str, tmp_pat
     body[len(body) // 2] ^= 0xFF
     truth.path.write_bytes(body)
     with FileSource(truth.path) as source:
-        assert read_footer(CountingSource(source))
+        assert read_index(CountingSource(source)).statistics
     file = upload(api, mission_id, "run.mcap", bytes(body))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
