@@ -7,8 +7,9 @@ from typing import Any
 from sqlalchemy import Row, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone, to_problem
+from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.uploads import HeldPart, Present, Refused, Send, UploadDecision, UploadFile, UploadState
 from kleinkram.server.access.actor import Actor
@@ -108,7 +109,7 @@ def _answer(
         return Send(upload=read_upload(row, parts.get(row.id, [])))
     if wanted.sha256 in {None, there}:
         return Present(file=None)
-    error = FileExists(path=wanted.path, existing_sha256=there, given_sha256=wanted.sha256 or "", existing_file_id=None)
+    error = FileExists(path=wanted.path, existing_sha256=there, sent_sha256=wanted.sha256 or "", existing_file_id=None)
     return Refused(path=wanted.path, problem=to_problem(error, actor.request_id))
 
 

@@ -18,13 +18,11 @@ from kleinkram.contract.errors import (
     KleinkramError,
     NotFound,
     PathConflict,
-    ProblemDocument,
     UploadGone,
     UploadIncomplete,
-    from_problem,
-    to_problem,
 )
 from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.problems import ProblemDocument, from_problem, to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -38,10 +36,9 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
-from kleinkram.server.bulk import insert_rows, unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
@@ -182,7 +179,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, rows:
             failures[row.id] = FileExists(
                 path=row.path,
                 existing_sha256=there.sha256.hex() if may_read else None,
-                given_sha256=row.sha256.hex(),
+                sent_sha256=row.sha256.hex(),
                 existing_file_id=str(there.id) if may_read else None,
             )
     made |= await _insert(db, actor, mission_id, fresh, existing)

@@ -10,8 +10,7 @@ from sqlalchemy import Row, select
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
-from kleinkram.server.bulk import upsert_rows
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, upsert_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file

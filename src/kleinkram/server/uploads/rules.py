@@ -85,7 +85,7 @@ def _beside(wanted: UploadFile, existing: Row[Any], known: Known) -> Decision | 
         error = FileExists(
             path=wanted.path,
             existing_sha256=existing.sha256.hex() if known.may_read else None,
-            given_sha256=wanted.sha256,
+            sent_sha256=wanted.sha256,
             existing_file_id=str(existing.id) if known.may_read else None,
         )
         return Decision(wanted, Way.refuse, error=error)

@@ -12,17 +12,12 @@ from typing import Any
 
 from sqlalchemy import Row, func, select, update
 
-from kleinkram.contract.errors import (
-    NameLeased,
-    NotFound,
-    PathConflict,
-    StoreUnavailable,
-    to_problem,
-)
+from kleinkram.contract.errors import NameLeased, NotFound, PathConflict, StoreUnavailable
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -41,14 +36,13 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.bulk import upsert_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY

@@ -22,9 +22,9 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.bulk import unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
+from kleinkram.server.db import unnest_rows
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import PartTarget, Storage
 from kleinkram.server.tables import upload
