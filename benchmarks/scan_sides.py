@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.side import Facts, main
 from kleinkram.recordings import CountingSource, summarise
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 
 _CHUNK_BYTES = 4 * 2**20

@@ -18,12 +18,12 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 import urllib3
-from kleinkram.contract.checksums import crc64nvme
 
 from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise
@@ -85,7 +85,7 @@ def upload_raw(*paths: str) -> Facts:
 
     started = time.perf_counter()
     with ThreadPoolExecutor(CONNECTIONS) as senders:
-        list(senders.map(send, [part for each in prepared for part in each.parts]))
+        list(senders.map(send, [part for file in prepared for part in file.parts]))
     asyncio.run(_with_storage(lambda storage: _join(storage, prepared)))
     return {"seconds": time.perf_counter() - started}
 
@@ -109,10 +109,10 @@ async def _prepare_one(storage: Storage, path: Path, size_bytes: int) -> _RawFil
 
 
 async def _join(storage: Storage, files: list[_RawFile]) -> None:
-    for each in files:
-        if each.multipart_id:
-            count, crc = len(each.parts), each.crc64nvme
-            await storage.complete_multipart(each.key, each.multipart_id, count=count, crc64nvme=crc)
+    for file in files:
+        if file.multipart_id:
+            count, crc = len(file.parts), file.crc64nvme
+            await storage.complete_multipart(file.key, file.multipart_id, count=count, crc64nvme=crc)
 
 
 async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:

@@ -97,7 +97,7 @@ def seconds_to_derive(client: Client, mission_id: uuid.UUID) -> float:
 def _add_topics(database: "psycopg.Connection[tuple[object, ...]]", number: int) -> None:
     begin_ns = _START_NS + number * _APART_NS
     stamps = [begin_ns + at * _LONG_NS // _MESSAGES for at in range(_MESSAGES) if number % 7 or not 900 < at < 1_200]
-    found = database.execute("SELECT id FROM blob WHERE key = 'topics' || %s::text", [number]).fetchone()
+    blob = database.execute("SELECT id FROM blob WHERE key = 'topics' || %s::text", [number]).fetchone()
     numbers = {"count": len(stamps), "first_ns": stamps[0], "last_ns": stamps[-1]}
     density = pack(count_stamps(stamps))
-    database.execute(_TOPICS, {"blob": found and found[0], "topics": TOPICS, "density": density, **numbers})
+    database.execute(_TOPICS, {"blob": blob and blob[0], "topics": TOPICS, "density": density, **numbers})

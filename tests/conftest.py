@@ -12,30 +12,33 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.lacking import missing
+from tests.requirements import missing
 
 MakeCase = Callable[[str], Path]
 
 RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).parents[2] / "shared" / "recordings")
 
-# Makers of small inputs that once failed, one folder each, beside the recordings.
+# Scripts that make small inputs which once failed, one folder each.
 CASES = RECORDINGS.parent / "cases"
 
-# Run in the background or under nohup, tests would hand on to what they start that these are ignored.
+# A shell that runs the tests in the background ignores these signals, and child processes would inherit that.
 for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
         signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
 
-# How wide the terminal is that tests are started from is not what commands are asked to print for.
+# The width of the terminal must not change what commands print.
 os.environ.pop("COLUMNS", None)
 
-# How long an example takes is the machine's business, and that of others on it.
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+# Examples are the same in every run, except in `make soak`. Their time depends on the machine and its load.
+settings.register_profile("fixed", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("soak", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long rounds end when they end; cut off in the middle of a history, they would only seem to be flaky."""
+    """Long rounds have no timeout: a history that is cut off in the middle looks like a flaky test."""
+    # Workers take files in this order; the long ones come first, so that no worker has one left at the end.
+    items.sort(key=lambda item: not item.path.is_relative_to(Path(__file__).parent / "system"))
     for item in items:
         if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(0))

@@ -9,10 +9,10 @@ import pytest
 from alembic import command
 
 from kleinkram.server.migrations import alembic_config
+from tests.integration.api_server import Api, serving
 from tests.integration.corpus import Corpus, upload_corpus
-from tests.integration.running import Api, serving
 from tests.integration.sample import Sample
-from tests.stack import RunningPostgres, RunningStore
+from tests.services import RunningPostgres, RunningStore
 
 StartApi = Callable[..., Api]
 Starting = Callable[[], AbstractContextManager[StartApi]]

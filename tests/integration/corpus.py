@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from kleinkram.contract.uploads import MAX_FILES_PER_REQUEST
+from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
+from kleinkram.server import worker
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs import worker
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
@@ -19,7 +19,7 @@ from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 T = TypeVar("T")
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"

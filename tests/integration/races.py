@@ -7,8 +7,8 @@ from typing import Any
 
 import psycopg
 
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
+from tests.integration.api_server import Api
+from tests.integration.upload_client import wait_until
 
 Send = Callable[..., "Future[Any]"]
 _WAITING = "SELECT count(*) FROM pg_locks WHERE NOT granted"

@@ -23,13 +23,13 @@ from kleinkram.contract.events import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Played, launch
-from tests.integration.uploading import upload as upload_one
-from tests.integration.uploading import wait_until
-from tests.stack import RunningStore
-from tests.system.rig.cutting import Cutter, cutting
+from tests.integration.upload_client import upload as upload_one
+from tests.integration.upload_client import wait_until
+from tests.services import RunningStore
+from tests.system.chaos.cutting_proxy import Cutter, cutting
 
 pytestmark = pytest.mark.slow
 _AFTER_S = 1.5
@@ -104,8 +104,8 @@ def test_who_follows_events_hears_of_all(behind: Behind) -> None:
     made: list[str] = []
 
     def follow() -> None:
-        for each in behind.client.events.follow(for_s=60):
-            heard.extend([str(each.id)] if isinstance(each, Change) else [])
+        for event in behind.client.events.follow(for_s=60):
+            heard.extend([str(event.id)] if isinstance(event, Change) else [])
             if len(made) == 3 and heard[-1:] == made[2:]:
                 return
 

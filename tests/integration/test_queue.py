@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 _WAITING = 3000
 _NEXT = "SELECT id FROM procrastinate_fetch_job_v2(ARRAY['long'], NULL)"
@@ -27,8 +27,8 @@ def test_the_next_of_many_jobs_is_found_without_looking_at_all_for_each(start_ap
     )
     api.sql(_READ)
     before = api.sql(_READ)[0][1]
-    found = [api.sql(_NEXT)[0][0] for _ in range(5)]
-    assert found == sorted(found)
-    assert None not in found
+    job_ids = [api.sql(_NEXT)[0][0] for _ in range(5)]
+    assert job_ids == sorted(job_ids)
+    assert None not in job_ids
     api.sql(_READ)
     assert api.sql(_READ)[0][1] - before < 5 * 3 * _WAITING, "rows of the queue read for five jobs"

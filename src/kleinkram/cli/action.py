@@ -83,14 +83,14 @@ def run_local(
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
-    from kleinkram.runner.__main__ import STOCK_IMAGE
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE
     from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
 
     if definition.image is None:
-        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), STOCK_IMAGE)
+        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), DEFAULT_IMAGE)
     else:
         try:
-            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), STOCK_IMAGE)
+            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), DEFAULT_IMAGE)
         except InvalidInput as error:
             why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
             raise InvalidInput(what=f"The action {definition.name}", reason=why) from None

@@ -25,8 +25,8 @@ from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
-from kleinkram.contract.errors import from_problem
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.searching import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}

@@ -8,8 +8,7 @@ from functools import partial
 from kleinkram.client.files import Files
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.files import DownloadLink
-from kleinkram.recordings.connections import Connections
-from kleinkram.recordings.http_source import HttpSource
+from kleinkram.recordings.http_source import Connections, HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
 
 _MOST_FILES = 500

@@ -11,22 +11,22 @@ from kleinkram.client._http import PATIENCE_S, Api
 from kleinkram.client._paging import Listing, pages
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.runners import (
-    ArtifactsBegin,
+    ArtifactUploadsCreate,
     Attempt,
-    BeatAnswers,
-    Beats,
-    Claim,
-    ClaimAsk,
-    Claimed,
-    InputsAsk,
+    ClaimReply,
+    ClaimRequest,
+    HeartbeatReplies,
+    Heartbeats,
+    InputsRequest,
     InputUrls,
+    LogChunkConfirm,
+    LogChunkCreate,
+    LogChunkUpload,
+    RunAssignment,
     RunFinish,
     RunFinished,
-    RunnerHello,
     RunnerRead,
-    SegmentAsk,
-    SegmentKept,
-    SegmentPut,
+    RunnerRegistration,
 )
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions, UploadFile
@@ -50,35 +50,35 @@ class Runners:
         """Yield all runners."""
         return pages(self._api, "/runners", RunnerRead, [])
 
-    def hello(self, hello: RunnerHello) -> RunnerRead:
+    def hello(self, hello: RunnerRegistration) -> RunnerRead:
         """Say, as a runner, what it is."""
         return self._api.repeat("/runners", RunnerRead, hello, patience_s=self._patience_s, wait=self._wait)
 
-    def claim(self, runner_id: uuid.UUID, ask: ClaimAsk) -> Claim | None:
+    def claim(self, runner_id: uuid.UUID, ask: ClaimRequest) -> RunAssignment | None:
         """Wait for a run and return it; None where none came that fits."""
-        return self._api.send("POST", f"/runners/{runner_id}/claims", Claimed, ask).claim
+        return self._api.send("POST", f"/runners/{runner_id}/claims", ClaimReply, ask).run
 
-    def beat(self, runner_id: uuid.UUID, beats: Beats) -> BeatAnswers:
+    def beat(self, runner_id: uuid.UUID, beats: Heartbeats) -> HeartbeatReplies:
         """Say what all runs are at, and hear what becomes of them."""
-        return self._api.send("POST", f"/runners/{runner_id}/beats", BeatAnswers, beats)
+        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", HeartbeatReplies, beats)
 
     def context(self, run_id: uuid.UUID, attempt: Attempt) -> RunContext:
         """Return what a run is told."""
         return self._api.get(f"/runner/runs/{run_id}/context", RunContext, [("attempt", str(attempt))])
 
-    def inputs(self, run_id: uuid.UUID, ask: InputsAsk) -> InputUrls:
+    def inputs(self, run_id: uuid.UUID, ask: InputsRequest) -> InputUrls:
         """Return where to GET some inputs."""
         path = f"/runner/runs/{run_id}/inputs"
         return self._api.repeat(path, InputUrls, ask, patience_s=self._patience_s, wait=self._wait)
 
-    def sign_segment(self, run_id: uuid.UUID, ask: SegmentAsk) -> SegmentPut:
+    def create_log_chunk(self, run_id: uuid.UUID, ask: LogChunkCreate) -> LogChunkUpload:
         """Return where to PUT a piece of the log."""
-        path = f"/runner/runs/{run_id}/log/sign"
-        return self._api.repeat(path, SegmentPut, ask, patience_s=self._patience_s, wait=self._wait)
+        path = f"/runner/runs/{run_id}/log-chunks"
+        return self._api.repeat(path, LogChunkUpload, ask, patience_s=self._patience_s, wait=self._wait)
 
-    def keep_segment(self, run_id: uuid.UUID, kept: SegmentKept) -> None:
+    def confirm_log_chunk(self, run_id: uuid.UUID, kept: LogChunkConfirm) -> None:
         """Say that a piece of the log is stored."""
-        self._api.tell(f"/runner/runs/{run_id}/log/kept", kept, patience_s=self._patience_s, wait=self._wait)
+        self._api.tell(f"/runner/runs/{run_id}/log-chunks/confirm", kept, patience_s=self._patience_s, wait=self._wait)
 
     def uploads(self, run_id: uuid.UUID, attempt: Attempt) -> "ArtifactUploads":
         """Return the upload protocol for what a run leaves."""
@@ -112,6 +112,6 @@ class ArtifactUploads(Uploads):
 
     def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
         """Announce up to 200 artifacts of the run and return what to do with each, in the order given."""
-        body = ArtifactsBegin(attempt=self._attempt, files=[*files])
+        body = ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
         path = f"/runner/runs/{mission_id}/uploads"
         return self._api.repeat(path, UploadDecisions, body, patience_s=self._patience_s, wait=self._wait)

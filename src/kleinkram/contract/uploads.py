@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.wire import Request, Response
 
 # The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.

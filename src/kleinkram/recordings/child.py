@@ -19,12 +19,11 @@ from dataclasses import asdict
 from typing import Any
 
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.forward import from_pipe, from_source
+from kleinkram.recordings.formats.rosbag2.metadata import parse_rosbag2_metadata
+from kleinkram.recordings.isolation import to_dict
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.model import Depth, RecordingSummary
-from kleinkram.recordings.rosbag2.metadata import parse_rosbag2_metadata
-from kleinkram.recordings.serialise import to_dict
-from kleinkram.recordings.sources import FileSource, Source
+from kleinkram.recordings.sources import FileSource, Source, from_pipe, from_source
 from kleinkram.recordings.summary import scan, scan_with_logs, summarise
 
 STACK_BYTES = 512 * 1024

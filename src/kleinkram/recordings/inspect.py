@@ -10,14 +10,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
-from kleinkram.recordings.combining import combine
+from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.folder import FolderRecordings, read_folder, recording_of_metadata
-from kleinkram.recordings.forward import FileForward
-from kleinkram.recordings.grouping import METADATA_NAME, GroupKind, RecordingGroup
+from kleinkram.recordings.grouping import (
+    METADATA_NAME,
+    FolderRecordings,
+    GroupKind,
+    RecordingGroup,
+    read_folder,
+    recording_of_metadata,
+)
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.rosbag2.folder import combine_folder
-from kleinkram.recordings.sources import FileSource
+from kleinkram.recordings.sources import FileForward, FileSource
 from kleinkram.recordings.summary import scan, summarise
 
 

@@ -5,17 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from kleinkram.recordings.assemble import bounded, pending
-from kleinkram.recordings.bag.summary import scan_bag, summarise_bag
-from kleinkram.recordings.forward import Forward, SourceForward, from_source, peek
-from kleinkram.recordings.limits import MAX_SCAN_BYTES
-from kleinkram.recordings.mcap.summary import scan_mcap, summarise_mcap
-from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.other.describe import DESCRIBED, MAX_DESCRIBED_BYTES, describe
-from kleinkram.recordings.other.svo2 import as_svo2
-from kleinkram.recordings.rosbag2.db3 import scan_copy, scan_db3
-from kleinkram.recordings.rosbag2.spool import TooLarge, temporary_database
-from kleinkram.recordings.sniffing import (
+from kleinkram.recordings.formats.base import (
     HEAD_BYTES,
     LONG_HEAD_BYTES,
     RECORDINGS,
@@ -25,8 +15,17 @@ from kleinkram.recordings.sniffing import (
     sniff_head,
     sniff_inside_zstd,
 )
-from kleinkram.recordings.sources import CountingSource, FileSource, Source
-from kleinkram.recordings.zstd_file import scan_zstd_file
+from kleinkram.recordings.formats.describe import DESCRIBED, MAX_DESCRIBED_BYTES, describe
+from kleinkram.recordings.formats.mcap.format import scan_mcap, summarise_mcap
+from kleinkram.recordings.formats.rosbag1.format import scan_bag, summarise_bag
+from kleinkram.recordings.formats.rosbag2.db3 import scan_copy, scan_db3
+from kleinkram.recordings.formats.svo2 import as_svo2
+from kleinkram.recordings.formats.zstd_file import scan_zstd_file
+from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import CountingSource, FileSource, Forward, Source, SourceForward, from_source, peek
+from kleinkram.recordings.temporary_files import TooLarge, temporary_database
+from kleinkram.recordings.topic_statistics import bounded, pending
 
 
 def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:

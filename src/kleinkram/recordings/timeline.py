@@ -229,13 +229,6 @@ class Timeline:
             times = self.topics[name] = TopicTimes()
         return times
 
-    def fork(self) -> Timeline:
-        """Return a copy: what is added to one is not in the other."""
-        fork = Timeline()
-        fork.topics = {name: replace(times, pending=times.pending[:]) for name, times in self.topics.items()}
-        fork._pending = self._pending
-        return fork
-
     def rename(self, old: str, new: str) -> None:
         """Give the messages of a topic to another one, as if they stood behind those that it has."""
         times = self.topics.pop(old, None)

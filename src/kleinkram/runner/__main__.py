@@ -25,7 +25,7 @@ from kleinkram.runner.machine import Share
 from kleinkram.runner.runner import Runner, RunnerOptions
 from kleinkram.runner.token import find_token
 
-STOCK_IMAGE = "kleinkram/action-python:latest"
+DEFAULT_IMAGE = "kleinkram/action-python:latest"
 
 
 class Arguments(BaseModel):
@@ -44,7 +44,7 @@ class Arguments(BaseModel):
     cache_bytes: int | None = None
     gpus: int = 0
     executor: ExecutorChoice = ExecutorChoice.auto
-    stock_image: str = STOCK_IMAGE
+    default_image: str = DEFAULT_IMAGE
     pull: Pull = Pull.missing
     registries: list[str] | None = None
     once: bool = False
@@ -82,10 +82,10 @@ def main() -> None:
                     arguments.gpus,
                     arguments.cache_bytes,
                 ),
-                stock_image=arguments.stock_image,
+                default_image=arguments.default_image,
             )
             policy = ImagePolicy(arguments.pull, arguments.registries)
-            executor = choose(arguments.executor, str(home.runner_id), policy, arguments.stock_image)
+            executor = choose(arguments.executor, str(home.runner_id), policy, arguments.default_image)
             code = _carry_on(Runner(options, home, executor), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from kleinkram.contract.runners import Claim
+from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.runner.disk import remove_tree, write_whole
 from kleinkram.runner.logs import LOG, LOG_STATE
@@ -51,7 +51,7 @@ class AttemptState(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    claim: Claim
+    claim: RunAssignment
     stage: Stage = Stage.preparing
     starts: int = 0
     started_s: float = 0
@@ -91,7 +91,7 @@ class Attempt:
                 path.unlink()
 
 
-def begin(runs: Path, claim: Claim) -> Attempt:
+def begin(runs: Path, claim: RunAssignment) -> Attempt:
     """Make the folder of a claim that just came."""
     folder = runs / f"{claim.run_id}-{claim.attempt}"
     folder.mkdir(mode=0o711, parents=True, exist_ok=True)

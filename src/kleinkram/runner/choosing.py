@@ -17,7 +17,7 @@ _log = logging.getLogger("kleinkram.runner")
 
 
 class ExecutorChoice(str, enum.Enum):
-    """`auto`: containers where an engine answers that has, or can fetch, the stock image; else processes."""
+    """`auto`: containers where an engine answers that has, or can fetch, the default image; else processes."""
 
     auto = "auto"
     docker = "docker"
@@ -32,7 +32,7 @@ class ImagePolicy:
     allowed: Sequence[str] | None = None
 
 
-def choose(choice: ExecutorChoice, runner: str, policy: ImagePolicy, stock_image: str) -> Executor:
+def choose(choice: ExecutorChoice, runner: str, policy: ImagePolicy, default_image: str) -> Executor:
     """Return the executor of a runner. The image may be fetched first, which may take long.
 
     Raises:
@@ -42,7 +42,7 @@ def choose(choice: ExecutorChoice, runner: str, policy: ImagePolicy, stock_image
         try:
             containers = _docker(runner, policy)
             if choice is ExecutorChoice.auto:
-                containers.prepare(stock_image)
+                containers.prepare(default_image)
             return containers
         except (EngineAway, Refused) as error:
             if choice is ExecutorChoice.docker:

@@ -10,7 +10,7 @@ import urllib3
 from kleinkram.client._retry import Backoff
 from kleinkram.client.runners import Runners
 from kleinkram.client.transfer._store import PATIENCE_S, Answer, StoreDoor
-from kleinkram.contract.runners import Claim, ClaimInput, InputsAsk
+from kleinkram.contract.runners import AssignedInput, InputsRequest, RunAssignment
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.cache import Cache, Damaged, NoRoom, Part, Wanted
 from kleinkram.runner.given import check_place
@@ -27,7 +27,7 @@ _REFUSALS = 4
 class InputFetcher:
     """Fetches the inputs of one run. `store` is shared by all runs."""
 
-    def __init__(self, runners: Runners, store: StoreDoor, cache: Cache, claim: Claim, orders: Orders) -> None:
+    def __init__(self, runners: Runners, store: StoreDoor, cache: Cache, claim: RunAssignment, orders: Orders) -> None:
         self._runners = runners.with_patience(PATIENCE_S, orders.wait)
         self._store = store
         self._cache = cache
@@ -96,7 +96,7 @@ class InputFetcher:
             raise _unavailable("Another input could not be had.")
 
     def _ask(self, paths: Sequence[str]) -> None:
-        ask = InputsAsk(attempt=self._claim.attempt, paths=[*paths])
+        ask = InputsRequest(attempt=self._claim.attempt, paths=[*paths])
         urls = self._runners.inputs(self._claim.run_id, ask).urls
         with self._lock:
             self._urls.update(zip(paths, urls, strict=True))
@@ -128,7 +128,7 @@ class InputFetcher:
                 raise _unavailable(f"The input {path} cannot be fetched: {answer.reason}.")
 
 
-def _place(given: ClaimInput) -> str:
+def _place(given: AssignedInput) -> str:
     try:
         return check_place(given.path)
     except ValueError as error:

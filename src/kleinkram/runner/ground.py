@@ -27,7 +27,7 @@ class Ground:
     url: str
     token: str
     service: Service
-    stock_image: str | None
+    default_image: str | None
     changed: Callable[[], None]
 
 

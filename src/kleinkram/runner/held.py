@@ -10,8 +10,8 @@ import threading
 from collections.abc import Callable
 
 from kleinkram.contract.errors import KleinkramError, RunGone
-from kleinkram.contract.runners import Beat, BeatAnswer, Claim, RunFinish, Verdict
-from kleinkram.contract.runs import EndReason, RunState, Sample
+from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
+from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.attempts import Attempt, EndingNoted, Stage
 from kleinkram.runner.disk import FULL, remove_tree
 from kleinkram.runner.ground import Ground, work_of
@@ -54,7 +54,7 @@ class HeldRun:
         if is_new:
             self._has_word.set()
         self._is_started = attempt.state.stage is Stage.running
-        self._samples: list[Sample] = []
+        self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
         self._progress = ProgressReader(attempt.folder / "out")
         self._redactor = Redactor([token for token in (ground.token, attempt.state.claim.token) if token])
@@ -65,7 +65,7 @@ class HeldRun:
         self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
 
     @property
-    def claim(self) -> Claim:
+    def claim(self) -> RunAssignment:
         """What it is."""
         return self._attempt.state.claim
 
@@ -77,9 +77,9 @@ class HeldRun:
         """Wait until its thread is over."""
         self._thread.join(timeout_s)
 
-    def beat(self) -> Beat:
+    def beat(self) -> Heartbeat:
         """Return what is to be said of it."""
-        return Beat(
+        return Heartbeat(
             run_id=self.claim.run_id,
             attempt=self.claim.attempt,
             state=self._state,
@@ -89,9 +89,9 @@ class HeldRun:
             samples=self._samples[:_MOST_SAMPLES],
         )
 
-    def answered(self, beat: Beat, answer: BeatAnswer, *, asked_s: float, lease_s: float) -> None:
+    def answered(self, beat: Heartbeat, answer: HeartbeatReply, *, asked_s: float, lease_s: float) -> None:
         """Take what the server said to a beat that was sent at `asked_s`."""
-        if answer.verdict is Verdict.gone:
+        if answer.status is LeaseStatus.lost:
             self.orders.give(Order.let_go)
             return
         self.lease.renew(asked_s, lease_s)
@@ -101,7 +101,7 @@ class HeldRun:
             self.lease.note_again(self._attempt.folder)
         del self._samples[: len(beat.samples)]
         self._has_word.set()
-        if answer.verdict is Verdict.cancel:
+        if answer.status is LeaseStatus.cancel:
             self.orders.give(Order.cancel)
 
     def press(self) -> None:
@@ -245,7 +245,7 @@ class HeldRun:
             self._usage = used
             if len(self._samples) < _MOST_SAMPLES:
                 at_s = max(0.0, now_s() - self._attempt.state.started_s)
-                self._samples.append(Sample(at_s=round(at_s, 3), usage=used))
+                self._samples.append(UsageSample(at_s=round(at_s, 3), usage=used))
 
     def _keep(self) -> None:
         self._now(RunState.collecting)

@@ -12,7 +12,7 @@ from kleinkram.client.transfer.outcome import TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile, identity_of
 from kleinkram.client.transfer.progress import Unwatched
-from kleinkram.contract.runners import LOG_PATH, Claim
+from kleinkram.contract.runners import LOG_PATH, RunAssignment
 from kleinkram.runner.results import Artifact
 
 _CONNECTIONS = 4
@@ -31,7 +31,7 @@ class Refused:
 class Leaving:
     """One run's files on their way. `end`, from another thread, has `send` return soon."""
 
-    def __init__(self, uploads: ArtifactUploads, server: str, claim: Claim, journals: Path) -> None:
+    def __init__(self, uploads: ArtifactUploads, server: str, claim: RunAssignment, journals: Path) -> None:
         self._claim = claim
         self._results: list[TransferResult] = []
         self._lock = threading.Lock()

@@ -16,7 +16,7 @@ from kleinkram.client.runners import Runners
 from kleinkram.client.transfer._store import Answer, StoreDoor
 from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
-from kleinkram.contract.runners import Claim, SegmentAsk, SegmentKept
+from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
 from kleinkram.runner.disk import write_whole
 from kleinkram.runner.redacting import Redactor
 
@@ -47,7 +47,9 @@ class _Sent(BaseModel):
 class LogFollower:
     """Follows the log of one run, in a thread of its own, until it is told to leave."""
 
-    def __init__(self, runners: Runners, store: StoreDoor, claim: Claim, folder: Path, redactor: Redactor) -> None:
+    def __init__(
+        self, runners: Runners, store: StoreDoor, claim: RunAssignment, folder: Path, redactor: Redactor
+    ) -> None:
         self._runners = runners.with_patience(_PATIENCE_S, self._wait)
         self._store = store
         self._claim = claim
@@ -112,7 +114,7 @@ class LogFollower:
 
     def _send(self, piece: bytes) -> None:
         offset = self._sent.kept
-        ask = SegmentAsk(
+        ask = LogChunkCreate(
             attempt=self._claim.attempt,
             offset=offset,
             size_bytes=len(piece),
@@ -122,10 +124,10 @@ class LogFollower:
         )
         while True:
             try:
-                put = self._runners.sign_segment(self._claim.run_id, ask)
+                put = self._runners.create_log_chunk(self._claim.run_id, ask)
                 if self._store.put(put.url, put.headers, len(piece), [piece]).answer is Answer.taken:
-                    kept = SegmentKept(attempt=self._claim.attempt, offset=offset, size_bytes=len(piece))
-                    self._runners.keep_segment(self._claim.run_id, kept)
+                    kept = LogChunkConfirm(attempt=self._claim.attempt, offset=offset, size_bytes=len(piece))
+                    self._runners.confirm_log_chunk(self._claim.run_id, kept)
                     return
             except RunGone:
                 raise

@@ -105,12 +105,12 @@ class Preparing:
             lacks = "runs no images, only scripts"
         elif claim.resources.gpus and not abilities.gpus:
             lacks = "has no GPU for runs"
-        elif claim.image is None and abilities.images and self._ground.stock_image is None:
-            lacks = "has no stock image to run scripts on"
+        elif claim.image is None and abilities.images and self._ground.default_image is None:
+            lacks = "has no default image to run scripts on"
         if lacks is not None:
             raise CannotStart(Ending(EndReason.not_possible, f"The runner that got it {lacks}."))
         if claim.image is None:
-            return self._ground.stock_image if abilities.images else None
+            return self._ground.default_image if abilities.images else None
         is_pinned = claim.image_digest is None or "@" in claim.image
         return claim.image if is_pinned else f"{claim.image}@{claim.image_digest}"
 

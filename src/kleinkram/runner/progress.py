@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from kleinkram.contract.reports import EVENTS_FILE, MAX_EVENT_BYTES, Event, Progress
+from kleinkram.contract.reports import EVENTS_FILE, MAX_EVENT_BYTES, Progress, ReportEvent
 from kleinkram.runner.disk import open_inside
 
 _MOST_BYTES = 2**20
@@ -38,7 +38,7 @@ class ProgressReader:
 
     def _take(self, line: bytes) -> bool:
         try:
-            said = Event.model_validate_json(line).progress
+            said = ReportEvent.model_validate_json(line).progress
         except ValidationError:
             return False
         if said is None:

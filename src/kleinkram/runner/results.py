@@ -20,10 +20,10 @@ from kleinkram.contract.reports import (
     MAX_METRICS,
     MAX_REPORT_BYTES,
     REPORT_FILE,
-    Event,
     Finding,
     Metric,
     Report,
+    ReportEvent,
 )
 from kleinkram.contract.wording import in_plain_words
 from kleinkram.runner.disk import open_inside
@@ -180,7 +180,7 @@ def _report(out: Path) -> Report:
         raise _Unreadable(f"{REPORT_FILE} is not a report: {_first(error)}.") from error
 
 
-def _events(out: Path, problems: _Problems) -> list[Event]:
+def _events(out: Path, problems: _Problems) -> list[ReportEvent]:
     try:
         data = _read(out, EVENTS_FILE, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
     except _Unreadable as error:
@@ -189,15 +189,15 @@ def _events(out: Path, problems: _Problems) -> list[Event]:
     return [event for number, line in enumerate(data.splitlines(), 1) if (event := _event(line, number, problems))]
 
 
-def _event(line: bytes, number: int, problems: _Problems) -> Event | None:
+def _event(line: bytes, number: int, problems: _Problems) -> ReportEvent | None:
     try:
-        return Event.model_validate_json(line)
+        return ReportEvent.model_validate_json(line)
     except ValidationError as error:
         problems.add(f"Line {number} of {Path(EVENTS_FILE).name} is no event: {_first(error)}.")
         return None
 
 
-def _together(events: list[Event], report: Report, problems: _Problems) -> Report:
+def _together(events: list[ReportEvent], report: Report, problems: _Problems) -> Report:
     """Put what was said while the run lasted before what the report says; the last word on a metric counts."""
     findings: list[Finding] = [event.finding for event in events if event.finding] + report.findings
     said = [event.metric for event in events if event.metric] + report.metrics

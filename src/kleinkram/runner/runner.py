@@ -21,7 +21,16 @@ from kleinkram.client.runners import Runners
 from kleinkram.client.service import Service
 from kleinkram.client.transfer._store import StoreDoor
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
-from kleinkram.contract.runners import BEAT_S, LEASE_S, MAX_WAIT_S, Beats, Capacity, Claim, ClaimAsk, RunnerHello
+from kleinkram.contract.runners import (
+    HEARTBEAT_S,
+    LEASE_S,
+    MAX_WAIT_S,
+    Capacity,
+    ClaimRequest,
+    Heartbeats,
+    RunAssignment,
+    RunnerRegistration,
+)
 from kleinkram.runner import attempts
 from kleinkram.runner.attempts import Attempt
 from kleinkram.runner.cache import Cache
@@ -31,7 +40,7 @@ from kleinkram.runner.held import HeldRun
 from kleinkram.runner.home import Home
 from kleinkram.runner.machine import Share, cache_bytes_of, capacity_of, what_is_left
 from kleinkram.runner.orders import MARGIN_S, Lease, Order
-from kleinkram.runner.stock import StockImage
+from kleinkram.runner.stock import DefaultImage
 from kleinkram.runner.ward import now_s
 from kleinkram.runner.work import Executor
 
@@ -59,7 +68,7 @@ class RunnerOptions:
     name: str
     labels: tuple[str, ...] = ()
     share: Share = field(default_factory=Share)
-    stock_image: str | None = None
+    default_image: str | None = None
 
 
 class Runner:
@@ -89,7 +98,7 @@ class Runner:
         cache_bytes = cache_bytes_of(options.share, home.folder, used_bytes=used_bytes)
         self._cache = Cache(home.cache, cache_bytes)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._beat, self._watch)]
-        self._stock = StockImage(executor, options.stock_image, self._hello)
+        self._stock = DefaultImage(executor, options.default_image, self._hello)
 
     def run(self, *, once: bool = False) -> None:
         """Take up what an earlier runner left, then ask for runs until it is stopped.
@@ -160,7 +169,7 @@ class Runner:
             url=options.url,
             token=options.token,
             service=Service(self._api),
-            stock_image=options.stock_image,
+            default_image=options.default_image,
             changed=self._news.set,
         )
 
@@ -180,13 +189,13 @@ class Runner:
     def _hello(self) -> None:
         options = self._options
         self._runners.hello(
-            RunnerHello(
+            RunnerRegistration(
                 id=self._home.runner_id,
                 name=options.name,
                 labels=[*options.labels],
                 capacity=self._capacity,
                 abilities=self._executor.abilities,
-                stock_image=self._stock.digest,
+                default_image=self._stock.digest,
                 version=kleinkram.__version__,
             )
         )
@@ -198,11 +207,11 @@ class Runner:
         self._has_room.clear()
         free = self._free()
         if free.cores < _LEAST_CORES or min(free.memory_bytes, free.disk_bytes) < _LEAST_BYTES:
-            self._has_room.wait(BEAT_S)
+            self._has_room.wait(HEARTBEAT_S)
             return None
         held = [*self._held]
         # What is free may soon be more: then it is said anew.
-        ask = ClaimAsk(free=free, wait_s=BEAT_S if held else MAX_WAIT_S, held=held)
+        ask = ClaimRequest(free=free, wait_s=HEARTBEAT_S if held else MAX_WAIT_S, active_run_ids=held)
         asked_s = now_s()
         try:
             claim = self._runners.claim(self._home.runner_id, ask)
@@ -221,7 +230,7 @@ class Runner:
             _log.warning("no run can be taken on: %s", error)
         self._is_cut_off = True
 
-    def _take(self, claim: Claim, asked_s: float) -> HeldRun:
+    def _take(self, claim: RunAssignment, asked_s: float) -> HeldRun:
         _log.info("got the run %s of %s", claim.run_id, claim.action.name)
         attempt = attempts.begin(self._home.runs, claim)
         # The server gave it after it was asked: counted from then, the lease is shorter than it is.
@@ -253,7 +262,7 @@ class Runner:
     def _beat(self) -> None:
         backoff = None
         while not self._over.is_set():
-            self._news.wait(BEAT_S)
+            self._news.wait(HEARTBEAT_S)
             self._news.clear()
             try:
                 self._beat_once()
@@ -271,7 +280,7 @@ class Runner:
             return
         beats = {run_id: run.beat() for run_id, run in held.items()}
         asked_s = now_s()
-        answers = self._beating.beat(self._home.runner_id, Beats(runs=[*beats.values()]))
+        answers = self._beating.beat(self._home.runner_id, Heartbeats(runs=[*beats.values()]))
         self._note_heard(asked_s)
         for answer in answers.runs:
             run = held.get(answer.run_id)

@@ -12,7 +12,7 @@ _AGAIN_S = 300.0
 _log = logging.getLogger("kleinkram.runner")
 
 
-class StockImage:
+class DefaultImage:
     """Looks for it in a thread of its own. `found` is called once it is there; `digest` then is its."""
 
     def __init__(self, executor: Executor, name: str | None, found: Callable[[], None]) -> None:
@@ -38,5 +38,5 @@ class StockImage:
                     _log.warning("no script can be run yet: %s", error)
                 is_said = True
             except KleinkramError as error:
-                _log.warning("the server does not know of the stock image yet: %s", error)
+                _log.warning("the server does not know of the default image yet: %s", error)
             time.sleep(_AGAIN_S)

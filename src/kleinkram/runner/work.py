@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.runners import Abilities
+from kleinkram.contract.runners import ExecutorAbilities
 from kleinkram.contract.runs import EndReason, Usage
 
 GRACE_S = 3.0
@@ -80,7 +80,7 @@ class Executor(Protocol):
     """Starts runs, watches them, ends them, and finds them again after a restart of the runner."""
 
     @property
-    def abilities(self) -> Abilities:
+    def abilities(self) -> ExecutorAbilities:
         """What it can do on this machine."""
 
     def prepare(self, image: str) -> ImagePinned:

@@ -24,10 +24,12 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from kleinkram.contract.emails import EmailDomain
 from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.rights import Right
-from kleinkram.server.proxies import Network
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
+
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 def _networks(text: object) -> object:

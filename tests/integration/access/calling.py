@@ -11,7 +11,7 @@ from typing import Any
 from kleinkram.contract.rights import Scope
 from tests.integration.access.expecting import About, Verdict
 from tests.integration.access.world import Asker
-from tests.integration.running import Answer
+from tests.integration.api_server import Answer
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
 from tests.integration.access.world import trash
+from tests.integration.api_server import Api
 from tests.integration.people import Person
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _READ, _OWNER = 1, 4

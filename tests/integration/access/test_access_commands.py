@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.contract.errors import AmbiguousName, Forbidden, LastOwner, NotFound, RightExceeded
+from tests.integration.api_server import Api
 from tests.integration.people import Person, group, person
-from tests.integration.running import Api
 
 Klein = Callable[..., Any]
 

@@ -17,10 +17,10 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.rights import Right
 from kleinkram.server.settings import Settings
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.people import Person
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, put, sign, upload, wait_until
+from tests.integration.upload_client import begin, complete, fetch, put, sign, upload, wait_until
 
 # To the second: what is signed in the middle of one lives up to a second less.
 _SHORT_S, _LONGEST_S = 2, 900

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
+from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, grant, group, join, person
 from tests.integration.races import racing
-from tests.integration.running import Api
 
 RIGHTS = ("READ", "CREATE", "WRITE", "DELETE")
 

@@ -15,9 +15,9 @@ from kleinkram.server.db import open_database
 from kleinkram.server.groups.affiliations import AffiliationUnusable, ensure_affiliations
 from kleinkram.server.settings import Affiliation
 from tests.integration.access.test_grants import in_days
+from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, grant, group, join, person
 from tests.integration.races import racing
-from tests.integration.running import Api
 
 _HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 

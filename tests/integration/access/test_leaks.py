@@ -8,9 +8,9 @@ import pytest
 
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from tests.integration import people
+from tests.integration.api_server import Answer, Api
 from tests.integration.people import Person
-from tests.integration.running import Answer, Api
-from tests.integration.uploading import begin, sha256, upload
+from tests.integration.upload_client import begin, sha256, upload
 
 _VERIFIED = (
     "UPDATE blob SET state = 'verified', verified_at = now(), md5 = decode(repeat('00', 16), 'hex') WHERE sha256 = %s"

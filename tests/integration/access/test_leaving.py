@@ -8,9 +8,9 @@ import pytest
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import secret_hash
 from tests.integration.access.test_grants import in_days
+from tests.integration.api_server import Api
 from tests.integration.people import Person, grant, group, person, session, token
 from tests.integration.races import racing
-from tests.integration.running import Api
 
 _HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 

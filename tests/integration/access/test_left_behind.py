@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from kleinkram.contract.rights import Right
 from tests.integration import people
-from tests.integration.running import Api
-from tests.integration.uploading import begin, upload, wait_until
+from tests.integration.api_server import Api
+from tests.integration.upload_client import begin, upload, wait_until
 
 
 def _soon() -> str:

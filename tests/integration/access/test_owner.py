@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.secrets import is_whole
-from kleinkram.server.access import owner
 from kleinkram.server.app import create_app
+from kleinkram.server.people import local_owner as owner
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 
 def _start_again(api: Api) -> str:

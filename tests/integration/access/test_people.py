@@ -5,8 +5,8 @@ import uuid
 import pytest
 
 from kleinkram.contract.rights import Right, Scope
+from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, email_group, grant, group, join, person, token
-from tests.integration.running import Api
 
 
 @pytest.fixture

@@ -25,8 +25,8 @@ from tests.integration.access.rights_model import (
     Membership,
     Rights,
 )
+from tests.integration.api_server import Answer, Api
 from tests.integration.people import join, person, token
-from tests.integration.running import Answer, Api
 
 _PEOPLE = ("ada", "bob", "cyd")
 _GROUPS = ("lab", "crew")

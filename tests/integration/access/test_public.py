@@ -9,7 +9,7 @@ from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 

@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 import pytest
 
 from kleinkram.server.access import few
-from kleinkram.server.search import looking
+from kleinkram.server.filters import looking
 from tests.integration.access import seen
 from tests.integration.access.seen import Eye, File, Lab, Mission, Project
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 T = TypeVar("T")
 # What is asked of each thing is asked of so many of them by each who looks.

@@ -14,7 +14,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.secrets import is_whole
 from tests.integration import people
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 _HOUR_NS = 3_600_000_000_000

@@ -15,9 +15,9 @@ from kleinkram.contract.errors import FileExists
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 
 def _made(api: Api, **wanted: Any) -> Any:

@@ -13,8 +13,8 @@ from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach
 from tests.integration.access.expecting import Place
+from tests.integration.api_server import Api
 from tests.integration.people import Person, Token
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 LEVELS = range(5)

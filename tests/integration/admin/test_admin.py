@@ -9,11 +9,11 @@ from kleinkram.contract.errors import NotFound, StoreUnavailable
 from kleinkram.server.blobs import service
 from kleinkram.server.jobs.job_context import ATTEMPTS
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import begin
+from tests.integration.upload_client import begin
 
 
 @pytest.fixture(scope="module")

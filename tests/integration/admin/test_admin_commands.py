@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.contract.errors import Forbidden
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.people import person
-from tests.integration.running import Api
 
 Klein = Callable[..., str]
 

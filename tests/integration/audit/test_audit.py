@@ -2,7 +2,7 @@
 
 import uuid
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 
 def test_tells_who_did_what_latest_first(api: Api) -> None:

@@ -11,7 +11,7 @@ import urllib3
 from kleinkram.contract.audit import AuditRead
 from kleinkram.contract.rights import Right
 from tests.integration import people
-from tests.integration.running import Answer, Api
+from tests.integration.api_server import Answer, Api
 from tests.integration.sample import Sample
 
 Lab = dict[str, Any]

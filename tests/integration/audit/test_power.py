@@ -7,9 +7,9 @@ import pytest
 
 from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.people import Person
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 

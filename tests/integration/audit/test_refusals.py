@@ -8,16 +8,16 @@ import pytest
 
 from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.rights import Right
-from kleinkram.server.access.owner import ensure_owner
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
 from kleinkram.server.context import AppContext
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.people.local_owner import ensure_owner
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import wait_until
+from tests.integration.upload_client import wait_until
 
 
 def _noted(api: Api, operation: str) -> list[Any]:

@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import account, any_email, code_of, sign_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 
 @pytest.fixture(scope="module")

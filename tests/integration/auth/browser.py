@@ -8,7 +8,7 @@ from typing import Any
 
 import urllib3
 
-from tests.integration.running import Answer, Api
+from tests.integration.api_server import Answer, Api
 
 USER_AGENT = "a browser of the tests"
 

@@ -3,8 +3,8 @@
 import pytest
 
 from kleinkram.server.audit import refusals
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 
 @pytest.fixture(scope="module")

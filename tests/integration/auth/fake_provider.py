@@ -20,7 +20,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 from joserfc import jwt
 from joserfc.jwk import KeySet, RSAKey
 
-from tests.serving import Server
+from tests.http_server import Server
 
 CLIENT_ID = "kleinkram"
 CLIENT_SECRET = "a secret with + and % in it"

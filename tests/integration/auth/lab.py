@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from kleinkram.server.settings import OidcProvider
+from tests.integration.api_server import Answer, Api
 from tests.integration.auth.browser import Browser
 from tests.integration.auth.fake_provider import CLIENT_ID, CLIENT_SECRET, FakeProvider, running_provider
 from tests.integration.conftest import StartApi
-from tests.integration.running import Answer, Api
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from kleinkram.server.auth.claiming import offer_claim
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.retention import forget_ended
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 
 
 @pytest.fixture(name="server", scope="module")

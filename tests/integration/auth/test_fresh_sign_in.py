@@ -4,9 +4,9 @@ import pytest
 
 from kleinkram.contract.rights import Scope
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, Account, account, code_of
 from tests.integration.auth.browser import Browser
-from tests.integration.running import Api
 
 _NEW = "another good password"
 

@@ -8,9 +8,9 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import Account, signed_in
 from tests.integration.auth.browser import Browser
-from tests.integration.running import Api
 
 
 @pytest.fixture(name="ada", scope="module")

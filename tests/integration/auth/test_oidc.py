@@ -12,12 +12,12 @@ from joserfc.jwk import RSAKey
 from kleinkram.contract.rights import Right
 from kleinkram.server.settings import OpenTo
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email
 from tests.integration.auth.browser import Browser
 from tests.integration.auth.fake_provider import CLIENT_ID
 from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 __all__ = ["_fake", "_lab", "_shared"]
 Change = Callable[[dict[str, Any]], dict[str, Any]]

@@ -7,9 +7,9 @@ import pyotp
 import pytest
 
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, Account, account, code_of, sign_in
 from tests.integration.auth.browser import Browser
-from tests.integration.running import Api
 
 
 class Device:

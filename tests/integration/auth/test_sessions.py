@@ -6,10 +6,10 @@ import pytest
 
 from kleinkram.contract.rights import Scope
 from tests.integration import people
+from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import PASSWORD, account, sign_in, signed_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
-from tests.integration.running import Answer, Api
 
 COOKIE = "kleinkram"
 _SECURE_URL = "https://kleinkram.lab.example"

@@ -6,13 +6,13 @@ import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.backup.sites import Sites
 from tests.integration.conftest import Starting
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Played, launch
-from tests.integration.uploading import begin, send, upload
-from tests.stack import RunningPostgres, RunningStore
+from tests.integration.upload_client import begin, send, upload
+from tests.services import RunningPostgres, RunningStore
 
 LARGE = bytes(range(256)) * 40_000  # more than one part, and than one frame of a sealed file
 

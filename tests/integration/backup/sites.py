@@ -16,8 +16,8 @@ from kleinkram.server.backup.restoring import Restored, Wish, restore
 from kleinkram.server.backup.verifying import Looking, Verified, verify
 from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from tests.integration.running import Api
-from tests.stack import RunningPostgres, RunningStore
+from tests.integration.api_server import Api
+from tests.services import RunningPostgres, RunningStore
 
 # What a restored site resets: nothing is verified at its store yet, and no upload or run is active there.
 ANEW = {
@@ -101,7 +101,7 @@ def contents(settings: Settings) -> dict[str, str]:
     """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
-        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_segment").fetchall()]
+        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_chunk").fetchall()]
     return asyncio.run(_contents(settings, keys))
 
 

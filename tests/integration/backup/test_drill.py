@@ -26,6 +26,7 @@ from kleinkram.server.backup.dumping import Facts, Reading
 from kleinkram.server.backup.dumping import facts as real_facts
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.settings import Settings, plain_dsn
+from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
     LEFT,
     Sites,
@@ -41,9 +42,8 @@ from tests.integration.backup.sites import (
 from tests.integration.backup.verification import complaints
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import begin, send, upload, upload_all
-from tests.stack import RunningPostgres
+from tests.integration.upload_client import begin, send, upload, upload_all
+from tests.services import RunningPostgres
 
 pytestmark = pytest.mark.slow
 _RATE_BYTES_PER_S = 4_000_000  # so that people get something done meanwhile

@@ -24,6 +24,7 @@ from kleinkram.server.backup.locking import at_work
 from kleinkram.server.backup.repository import open_place
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.settings import plain_dsn
+from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
 from tests.integration.backup.sites import (
     Sites,
@@ -37,9 +38,8 @@ from tests.integration.backup.sites import (
 )
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import upload
-from tests.stack import RunningStore
+from tests.integration.upload_client import upload
+from tests.services import RunningStore
 
 
 def test_looking_makes_no_folder(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.service import regroup
+from tests.integration.api_server import Api
 from tests.integration.jobs import drain, on_site
-from tests.integration.running import Api
-from tests.integration.uploading import begin
+from tests.integration.upload_client import begin
 
 _LONG_S = 3600.0
 _Work = Callable[[Courtesy], Awaitable[None]]

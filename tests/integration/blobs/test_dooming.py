@@ -6,9 +6,9 @@ import pytest
 
 from kleinkram.server.blobs import service
 from kleinkram.server.context import AppContext
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _ORPHANS = 100

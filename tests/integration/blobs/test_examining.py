@@ -9,10 +9,10 @@ import pytest
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.blobs.queries import SMALL_BYTES
-from tests.integration import uploading
+from tests.integration import upload_client
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import begin, fetch, upload, upload_all
+from tests.integration.upload_client import begin, fetch, upload, upload_all
 
 Generate = Callable[..., Any]
 
@@ -30,7 +30,7 @@ def _blob(api: Api, file_id: str) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("name", "generate"), [("run.mcap", generate_mcap), ("run.bag", generate_bag)])
-def test_a_recording_is_summarised_and_proven(
+def test_a_recording_is_summarised_and_verified(
     api: Api, mission_id: str, tmp_path: Any, name: str, generate: Generate
 ) -> None:
     generate(tmp_path / name, size_bytes=2_000_000, seed=3)
@@ -40,7 +40,7 @@ def test_a_recording_is_summarised_and_proven(
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"], read["content_reason"]) == ("verified", "indexed", None)
-    assert read["md5"] == uploading.checksum("md5", body)
+    assert read["md5"] == upload_client.checksum("md5", body)
     topics = api.all(f"/files/{file['id']}/topics")
     assert sum(topic["count"] for topic in topics) == read["message_count"] > 0
     imu = next(topic for topic in topics if topic["name"] == "/imu/data")
@@ -75,7 +75,7 @@ def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any
     assert found["run.mcap"]["depth"] == "scan"
     topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
     assert sum(topic["count"] for topic in topics) == found["run.mcap"]["message_count"] > 0
-    assert found["0.bin"]["md5"] == uploading.checksum("md5", bodies["0.bin"])
+    assert found["0.bin"]["md5"] == upload_client.checksum("md5", bodies["0.bin"])
 
 
 def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path: Any) -> None:

@@ -10,10 +10,10 @@ from kleinkram.recordings import Content, RecordingFormat, RecordingSummary
 from kleinkram.server.blobs import service
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, upload
+from tests.integration.upload_client import begin, upload
 
 _Keep = Callable[[Connection, uuid.UUID], Awaitable[None]]
 

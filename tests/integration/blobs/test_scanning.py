@@ -10,17 +10,17 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import CountingSource, FileSource, Lost
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap.index import read_footer
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reading
 from kleinkram.server.settings import Settings
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
+from tests.integration.fault_proxy import Cut, ProxiedRequest, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 _MOST_AT_ONCE = 64 * 1024 * 1024
 
@@ -35,14 +35,14 @@ def _key(api: Api, file_id: str) -> str:
     return str(api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0][0])
 
 
-def test_a_flipped_byte_is_found_by_the_proof(api: Api, mission_id: str, tmp_path: Path) -> None:
+def test_verification_finds_a_flipped_byte(api: Api, mission_id: str, tmp_path: Path) -> None:
     """The file's own index is whole, so that only reading everything sees it."""
     truth = generate_mcap(tmp_path / "run.mcap", size_bytes=3_000_000, seed=11)
     body = bytearray(truth.path.read_bytes())
     body[len(body) // 2] ^= 0xFF
     truth.path.write_bytes(body)
     with FileSource(truth.path) as source:
-        assert read_footer(CountingSource(source))
+        assert read_index(CountingSource(source)).statistics
     file = upload(api, mission_id, "run.mcap", bytes(body))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
@@ -82,14 +82,14 @@ def test_a_recording_without_index_that_is_too_large_to_be_read_at_once(
     assert read["message_count"] == 65
 
 
-def test_what_is_no_recording_is_proven_all_the_same(api: Api, mission_id: str) -> None:
+def test_a_file_that_is_no_recording_is_verified(api: Api, mission_id: str) -> None:
     file = upload(api, mission_id, "notes.bin", b"\x01\x02 nothing that we know " * 50_000)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"]) == ("verified", "opaque")
 
 
-def test_a_reader_that_dies_leaves_the_proof(
+def test_a_reader_that_dies_does_not_stop_the_verification(
     api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = "import sys; sys.stdin.buffer.readline(); sys.exit('no luck today')"
@@ -131,7 +131,7 @@ def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, missi
     settings: Settings = api.app.state.settings
     cut: list[str] = []
 
-    def break_off(asked: Asked) -> Cut | None:
+    def break_off(asked: ProxiedRequest) -> Cut | None:
         if asked.method != "GET" or not asked.key.endswith(key):
             return None
         cut.append(asked.key)

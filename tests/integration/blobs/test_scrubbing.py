@@ -12,10 +12,10 @@ from kleinkram.server.blobs import scrubbing, scrubs
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.s3.storage import Storage
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import begin, fetch, send, upload, upload_all, wait_until
+from tests.integration.upload_client import begin, fetch, send, upload, upload_all, wait_until
 
 _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo' AND priority < 0"
 
@@ -99,7 +99,7 @@ def test_what_was_cut_off_is_corrupt_and_says_how(api: Api, mission_id: str) -> 
 
 
 @pytest.mark.parametrize("was", ["lost", "corrupt"])
-def test_what_is_there_again_is_proven_and_says_so(api: Api, mission_id: str, was: str) -> None:
+def test_a_file_that_reappears_is_verified_again(api: Api, mission_id: str, was: str) -> None:
     (file, body), *_ = _verified(api, mission_id)
     key = _key(api, file["id"])
     _remove(api, key) if was == "lost" else _put(api, key, b"another")
@@ -114,7 +114,7 @@ def test_what_is_there_again_is_proven_and_says_so(api: Api, mission_id: str, wa
     assert (event["operation"], event["before"]) == ("file.heal", {"state": was})
 
 
-def test_what_was_altered_is_found_when_its_proof_is_old(api: Api, mission_id: str) -> None:
+def test_the_next_verification_finds_altered_bytes(api: Api, mission_id: str) -> None:
     (file, body), (other, _), *_ = _verified(api, mission_id)
     _put(api, _key(api, file["id"]), body[:-1] + bytes([body[-1] ^ 1]))
     _scrub(api)
@@ -131,7 +131,7 @@ def test_what_was_altered_is_found_when_its_proof_is_old(api: Api, mission_id: s
     assert _read(api, other)["verified_at"] > before
 
 
-def test_old_proofs_are_made_anew_oldest_first_and_few_at_a_time(
+def test_old_verifications_are_repeated_oldest_first_in_batches(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = [file for file, _ in _verified(api, mission_id)]

@@ -9,12 +9,12 @@ import pytest
 
 from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.fault_proxy import Cut, Middleman, ProxiedRequest, Reply, Rule, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Cut, Middleman, Reply, Rule, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload
-from tests.stack import RunningStore
+from tests.integration.upload_client import upload
+from tests.services import RunningStore
 
 
 def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -> None:
@@ -93,7 +93,7 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
-def _all_fail(asked: Asked) -> Reply | None:
+def _all_fail(asked: ProxiedRequest) -> Reply | None:
     return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
 
 
@@ -112,7 +112,7 @@ def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman
     assert attempts >= 1, "it is tried again"
 
 
-def test_asking_for_a_proof_does_not_wait_for_a_retry(troubled: Api, middleman: Middleman) -> None:
+def test_requesting_a_verification_does_not_wait_for_a_retry(troubled: Api, middleman: Middleman) -> None:
     file, _ = _uploaded(troubled, 3_000)
     troubled.sql("DELETE FROM procrastinate_jobs")
     [(blob_id,)] = troubled.sql("SELECT blob_id::text FROM file WHERE id = %s", file["id"])

@@ -15,9 +15,9 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.settings import Settings
-from tests.integration.middleman import Asked, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import upload, wait_until
+from tests.integration.api_server import Api
+from tests.integration.fault_proxy import ProxiedRequest, standing_before
+from tests.integration.upload_client import upload, wait_until
 
 
 @pytest.fixture(name="api", scope="module")
@@ -87,7 +87,7 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
     settings: Settings = api.app.state.settings
     reading, may_go_on = threading.Event(), threading.Event()
 
-    def hold(asked: Asked) -> None:
+    def hold(asked: ProxiedRequest) -> None:
         if asked.method != "GET":
             return
         if "range" not in asked.headers:  # verifying reads the content too: it does not come to that

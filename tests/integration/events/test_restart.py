@@ -10,10 +10,10 @@ import pytest
 
 from kleinkram.client import connect
 from kleinkram.contract.events import Change, Refetch, RefetchReason
-from tests.integration.listening import listening
-from tests.integration.running import serving
-from tests.integration.uploading import wait_until
-from tests.stack import RunningPostgres, RunningStore
+from tests.integration.api_server import serving
+from tests.integration.event_client import listening
+from tests.integration.upload_client import wait_until
+from tests.services import RunningPostgres, RunningStore
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_a_program_that_follows_goes_on_after_a_restart(
 
         follower = threading.Thread(target=follow, name="follower")
         follower.start()
-        wait_until(lambda: len(api.app.state.hub._listeners) == 1)
+        wait_until(lambda: len(api.app.state.hub._streams) == 1)
         made = api.mission(project["id"])
         wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
         port = urlsplit(api.url).port or 0

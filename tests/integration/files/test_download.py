@@ -7,9 +7,9 @@ import pytest
 import urllib3
 
 from kleinkram.server.s3.storage import open_storage
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import begin, complete, put, sign
+from tests.integration.upload_client import begin, complete, put, sign
 
 
 @pytest.fixture(name="mission")

@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 
@@ -168,7 +168,7 @@ def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sampl
     assert revisions == {source["id"]: 1, target["id"]: 2}
 
 
-def test_who_had_a_file_proven_again_is_noted(api: Api, sample: Sample, mission: str) -> None:
+def test_the_audit_log_names_who_requested_a_verification(api: Api, sample: Sample, mission: str) -> None:
     file_id = sample.file(mission, "a.mcap")
     api.post(f"/files/{file_id}/verify").ok(202)
     (event,) = api.events(file_id)
@@ -205,7 +205,7 @@ def test_topics_of_a_file_come_by_name_in_pages(api: Api, sample: Sample, missio
     assert {row["rate_hz"] for row in rows if row["message_type"] is None} == {1.5}
 
 
-def test_asking_for_proof_enqueues_it(api: Api, sample: Sample, mission: str) -> None:
+def test_requesting_a_verification_enqueues_it(api: Api, sample: Sample, mission: str) -> None:
     blob_id = sample.blob()
     file_id = sample.link(mission, "a.mcap", blob_id)
     assert api.post(f"/files/{file_id}/verify").ok(202)["id"] == file_id

@@ -12,10 +12,10 @@ import urllib3
 from kleinkram.recordings import isolation
 from kleinkram.server import checks
 from kleinkram.server.health.proxy_check import HEADER, Seen, proof
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.ports import choose_port
-from tests.stack import RunningPostgres
+from tests.services import RunningPostgres
 
 
 def _environment(api: Api) -> dict[str, str]:

@@ -2,9 +2,9 @@
 
 import urllib3
 
+from tests.integration.api_server import Api, serving
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api, serving
-from tests.stack import RunningPostgres
+from tests.services import RunningPostgres
 
 
 def _values(text: str, name: str) -> dict[str, float]:

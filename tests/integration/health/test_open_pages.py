@@ -4,8 +4,8 @@ import pytest
 import urllib3
 
 from kleinkram.server.access.operations import OPEN_PAGES
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _POOL = urllib3.PoolManager(retries=False, timeout=20)

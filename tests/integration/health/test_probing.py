@@ -11,9 +11,9 @@ from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.s3.capabilities import probe
 from kleinkram.server.s3.storage import StoreCapabilities, open_storage
 from kleinkram.server.settings import Settings
-from tests.integration.middleman import Asked, Lost, Reply, Rule, standing_before
-from tests.integration.running import Api
-from tests.stack import RunningStore
+from tests.integration.api_server import Api
+from tests.integration.fault_proxy import Lost, ProxiedRequest, Reply, Rule, standing_before
+from tests.services import RunningStore
 
 # More than a probe asks.
 _QUESTIONS = 24
@@ -43,7 +43,7 @@ def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
     asked = 0
     lock = threading.Lock()
 
-    def rule(_asked: Asked) -> "Reply | Lost | None":
+    def rule(_asked: ProxiedRequest) -> "Reply | Lost | None":
         nonlocal asked
         with lock:
             asked += 1

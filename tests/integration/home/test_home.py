@@ -5,10 +5,10 @@ import pytest
 from kleinkram.client import connect
 from kleinkram.contract.rights import Right
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import begin, send
+from tests.integration.upload_client import begin, send
 
 _PART = 8 * 1024 * 1024
 

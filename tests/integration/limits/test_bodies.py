@@ -5,7 +5,7 @@ import json
 import pytest
 import urllib3
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 _MANY_KEYS = json.dumps({f"k{number}": 1 for number in range(20_000)}).encode()
 

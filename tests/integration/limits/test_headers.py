@@ -3,8 +3,8 @@
 import pytest
 import urllib3
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 
 GUARDS = {
     "x-content-type-options": "nosniff",

@@ -13,15 +13,15 @@ from sqlalchemy import text
 
 from kleinkram.server.access.actor import find_actor
 from kleinkram.server.context import AppContext
-from kleinkram.server.dependencies import Transaction
+from kleinkram.server.http.dependencies import Transaction
 from kleinkram.server.logs import JsonLines, quiet_libraries
 from kleinkram.server.settings import Settings
+from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
 from tests.integration.auth.browser import Browser
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Answer, Api
-from tests.integration.uploading import begin, complete, parts_of, put, sign
+from tests.integration.upload_client import begin, complete, parts_of, put, sign
 
 
 class Story:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 FIELDS = """\
 undeclared: refuse

@@ -2,7 +2,7 @@
 
 from kleinkram.contract.rights import Right
 from tests.integration import people
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 _FIELDS = "fields:\n- {name: robot, type: string, required: true}\n- {name: budget, type: number}\n"
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 

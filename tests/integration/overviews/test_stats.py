@@ -7,8 +7,8 @@ import pytest
 
 from kleinkram import connect
 from kleinkram.recordings.density import count_stamps, pack
+from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 HOUR = 3600 * 10**9

@@ -3,7 +3,7 @@
 import uuid
 
 from kleinkram import connect
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 T0 = 1_700_000_000_000_000_000

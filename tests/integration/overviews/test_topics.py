@@ -14,10 +14,10 @@ from kleinkram.recordings.density import count_stamps, pack
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.context import AppContext
 from kleinkram.server.recordings.service import regroup_forgotten
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000

@@ -6,7 +6,7 @@ import uuid
 
 import pytest
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 FIELDS = """\

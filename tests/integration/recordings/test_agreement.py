@@ -13,10 +13,10 @@ from kleinkram.contract.files import RecordingRead
 from kleinkram.recordings import Content
 from kleinkram.recordings.reading import NotARecording
 from tests.conftest import MakeCase
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 from tests.unit.recordings.agreement import Account, Accounts, Reading, accounts_of, disagreements, reading_of
 from tests.unit.recordings.test_agreement import CASE_NUMBERS, WITHOUT_RECORDINGS
 

@@ -16,11 +16,11 @@ from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
 from kleinkram.server.recordings.rests import Rests
+from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
-from tests.integration.running import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 # What is odd about the whole; what is odd inside one file, the server tells with the file.
 _OF_THE_WHOLE = ("metadata-", "member-", "topic-types-differ")

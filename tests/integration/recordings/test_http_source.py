@@ -25,7 +25,7 @@ from kleinkram.recordings import (
 from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from tests.serving import Server
+from tests.http_server import Server
 
 DATA = bytes(range(256)) * 40
 SECRET = "X-Amz-Signature=hunter2"

@@ -7,10 +7,10 @@ import pytest
 from kleinkram.client import connect
 from kleinkram.recordings.inspect import inspect_paths
 from tests.conftest import MakeCase
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import run_jobs
-from tests.integration.running import Api
-from tests.integration.uploading import upload_all
+from tests.integration.upload_client import upload_all
 
 
 def _files(folder: Path) -> dict[str, bytes]:

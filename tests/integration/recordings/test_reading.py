@@ -2,7 +2,7 @@
 
 import uuid
 
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 

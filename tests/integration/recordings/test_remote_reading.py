@@ -13,9 +13,9 @@ from kleinkram.recordings import SourceError
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.reading import RawMessage, Recording
 from kleinkram.recordings.sample import generate_db3, generate_mcap
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 _SIZE = 12_000_000
 

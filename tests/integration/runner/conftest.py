@@ -21,7 +21,7 @@ from kleinkram.runner.work import Door, Ending, Executor, Work
 from tests.integration.runner import engines, podmen
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podmen import Podman
-from tests.lacking import missing, need
+from tests.requirements import missing, need
 
 AnEngine = TypeVar("AnEngine", bound=Dockerd)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from kleinkram.runner.docker.engine import Engine, EngineAway
 from kleinkram.runner.docker.gate import SHELL
-from tests.lacking import path_of
+from tests.requirements import path_of
 
 IMAGE = "kleinkram.test/python"
 PROGRAMS = ("dockerd", "containerd", "docker", "docker-registry", "ip", "iptables")

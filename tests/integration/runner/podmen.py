@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tests.integration.runner.engines import Dockerd
-from tests.lacking import path_of
+from tests.requirements import path_of
 
 PROGRAMS = ("podman", "crun", "catatonit", "docker", "docker-registry", "ip")
 # Where control groups are of both versions at once, crun wants those of the second out of its sight.

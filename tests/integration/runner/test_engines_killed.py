@@ -13,7 +13,7 @@ from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.test_docker import COUNTS, is_numbered, kill_warden
 from tests.integration.runner.test_executors import until_said
-from tests.lacking import need
+from tests.requirements import need
 
 
 def bench_on(engine: Dockerd, folder: Path) -> Bench:

@@ -19,7 +19,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward, wardens
 from kleinkram.runner.work import GRACE_S, CannotStart, Door
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
-from tests.lacking import missing
+from tests.requirements import missing
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
 

@@ -75,9 +75,9 @@ def test_containers_are_chosen_where_scripts_can_be_run_in_them(
     engine: Dockerd,  # noqa: F811  the fixture
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def chosen(stock_image: str) -> str:
+    def chosen(default_image: str) -> str:
         policy = ImagePolicy(Pull.missing)
-        return choose(ExecutorChoice.auto, "a-runner", policy, stock_image).abilities.executor
+        return choose(ExecutorChoice.auto, "a-runner", policy, default_image).abilities.executor
 
     monkeypatch.setenv("DOCKER_HOST", f"unix://{engine.socket}")
     assert chosen(engines.IMAGE) == "docker"

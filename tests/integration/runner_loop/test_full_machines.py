@@ -16,7 +16,7 @@ from kleinkram.runner.runner import Runner
 from kleinkram.runner.work import Work
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
-from tests.system.rig.disks import MIB, need_small_disks, small_disk
+from tests.system.chaos.disks import MIB, need_small_disks, small_disk
 
 FULL = Path("/dev/full")
 LASTING = "import time\ntime.sleep(60)"

@@ -9,9 +9,9 @@ import pytest
 
 from kleinkram.contract.rights import Right
 from tests.integration import people
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, launch
-from tests.integration.uploading import sha256, upload
+from tests.integration.upload_client import sha256, upload
 
 _OPENAPI = Path(__file__).parents[3] / "docs" / "openapi.json"
 _INPUT, _OUTPUT = b"an input that moves away", b"an output that moves away"

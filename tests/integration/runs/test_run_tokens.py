@@ -4,9 +4,9 @@ from typing import Any
 
 from kleinkram.contract.rights import Right
 from tests.integration import people
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, launch
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 
 def _begun(lab: Api, runner: Played, place: Place, **said: Any) -> tuple[Any, Api]:

@@ -9,10 +9,10 @@ import pytest
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.runs.conftest import Place, Played, definition, launch
-from tests.integration.uploading import upload
+from tests.integration.upload_client import upload
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import pytest
 from kleinkram.contract.rights import Right
 from kleinkram.server.access import few
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _READERS, _TOPICS = 2, ("/imu", "/gps")

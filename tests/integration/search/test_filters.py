@@ -12,7 +12,7 @@ import pytest
 from kleinkram.contract.rights import Right
 from kleinkram.server.access import few
 from tests.integration import people
-from tests.integration.running import Api, Query
+from tests.integration.api_server import Api, Query
 from tests.integration.sample import Sample
 
 DAY_NS = 86_400 * 10**9

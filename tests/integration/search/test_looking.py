@@ -7,10 +7,12 @@ from urllib.parse import urlencode
 import pytest
 
 from kleinkram.server.files import queries as file_queries
+from kleinkram.server.filters import kept, looking
+from kleinkram.server.filters import text as words
 from kleinkram.server.missions import queries as mission_queries
-from kleinkram.server.search import few, kept, looking, words
+from kleinkram.server.search import few
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 _FILES, _RARE = 120, 2

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.search.words import MOST_WORDS
+from kleinkram.server.filters.text import MOST_WORDS
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 DAY_NS = 86_400 * 10**9

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from kleinkram.server.search import service
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
 HOUR_NS = 3600 * 10**9

@@ -6,10 +6,10 @@ import pytest
 
 from kleinkram.server.context import AppContext
 from kleinkram.server.trash.emptying import empty_trash
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.sample import Sample
 
 

@@ -15,7 +15,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.s3.storage import open_storage
-from tests.integration.running import Api
+from tests.integration.api_server import Api
 
 T = TypeVar("T")
 _ALL_BLOBS = text("UPDATE blob SET content = 'opaque', summarised_at = now() WHERE doomed_at IS NULL RETURNING id")

@@ -12,8 +12,8 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from kleinkram.server.blobs import jobs, scrubbing
 from kleinkram.server.context import AppContext
 from kleinkram.server.uploads.jobs import maintain_uploads
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, send, sha256
+from tests.integration.api_server import Api
+from tests.integration.upload_client import begin, complete, send, sha256
 from tests.integration.uploads.behind import SiteThread, verify_all
 
 _PAGE = Path(__file__).parents[3] / "docs" / "states.md"

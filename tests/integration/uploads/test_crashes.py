@@ -13,9 +13,9 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.uploads import completion
 from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration import people
+from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, crc64, send, sha256, sign
+from tests.integration.upload_client import begin, complete, crc64, send, sha256, sign
 
 _PART = 5 * 1024 * 1024
 

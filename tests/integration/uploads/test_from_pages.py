@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 import urllib3
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.middleman import Asked, Reply, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, parts_of, sign, upload
-from tests.stack import RunningStore
+from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
+from tests.integration.upload_client import begin, complete, parts_of, sign, upload
+from tests.services import RunningStore
 
 _BODY = b"what a robot saw"
 _PAGE = "https://kleinkram.lab.example"
@@ -97,7 +97,7 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
 def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def rule(asked: Asked) -> Reply | None:
+    def rule(asked: ProxiedRequest) -> Reply | None:
         return Reply(501, "NotImplemented") if "cors" in asked.query else None
 
     with standing_before(store.endpoint) as middleman:

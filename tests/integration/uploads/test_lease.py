@@ -12,9 +12,9 @@ from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, plan_upload, upload
 from kleinkram.client.transfer.progress import Unwatched
 from kleinkram.contract.errors import NameLeased
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, parts_of, send, sign, wait_until
+from tests.integration.upload_client import begin, complete, parts_of, send, sign, wait_until
 
 _PART = 5 * 1024 * 1024
 _LEASE_S = 8.0

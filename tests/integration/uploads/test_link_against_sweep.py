@@ -12,11 +12,11 @@ from kleinkram.server.blobs import queries, service
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, send, upload, wait_until
+from tests.integration.upload_client import begin, complete, fetch, send, upload, wait_until
 
 # A name is taken by a change that is not made in the end: who wants it waits with all locks taken, and then has it.
 _HOLD_NAME = (

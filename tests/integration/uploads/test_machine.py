@@ -12,8 +12,8 @@ from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.uploads import UploadState
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.running import Api
 from tests.integration.uploads.behind import SiteThread
 from tests.integration.uploads.faults import FAULTS, Fault, live, planted
 from tests.integration.uploads.machine import Machine, documented

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, send, sha256, upload
+from tests.integration.upload_client import begin, complete, send, sha256, upload
 
 _HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 

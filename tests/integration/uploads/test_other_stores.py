@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 import urllib3
 
+from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
 from tests.integration.jobs import on_site, run_jobs
-from tests.integration.middleman import Asked, Reply, standing_before
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, put, send, sign, upload, wait_until
+from tests.integration.upload_client import begin, complete, fetch, put, send, sign, upload, wait_until
 from tests.ports import choose_port
-from tests.stack import RunningStore
+from tests.services import RunningStore
 
 _PART = 5 * 1024 * 1024
 
@@ -31,7 +31,7 @@ class _Sha256Alone:
     def __init__(self) -> None:
         self._parts: dict[tuple[str, str], str] = {}
 
-    def rule(self, asked: Asked) -> Reply | None:
+    def rule(self, asked: ProxiedRequest) -> Reply | None:
         """Refuse what such a store does not know."""
         if "uploadId" in asked.query and (checksum := asked.headers.get("x-amz-checksum-sha256")):
             self._parts[asked.query["uploadId"], asked.query["partNumber"]] = checksum
@@ -39,7 +39,7 @@ class _Sha256Alone:
         named = "crc64nvme" in algorithm or any("crc64nvme" in name for name in asked.headers)
         return Reply(501, "NotImplemented") if named else None
 
-    def edit(self, asked: Asked, body: bytes) -> bytes:
+    def edit(self, asked: ProxiedRequest, body: bytes) -> bytes:
         """List the checksums of parts."""
         if asked.method != "GET" or "uploadId" not in asked.query:
             return body
@@ -104,7 +104,7 @@ def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.Fixt
 
 
 @pytest.mark.parametrize("size_bytes", [0, 100, 2 * _PART + 5])
-def test_a_file_comes_back_as_it_went_and_is_proven(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_a_file_comes_back_as_it_went_and_is_verified(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"

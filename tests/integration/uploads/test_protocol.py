@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from tests.integration import uploading
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, crc64, fetch, parts_of, put, send, sha256, sign, upload
+from tests.integration import upload_client
+from tests.integration.api_server import Api
+from tests.integration.upload_client import begin, complete, crc64, fetch, parts_of, put, send, sha256, sign, upload
 
 _PART = 5 * 1024 * 1024
 
@@ -136,9 +136,9 @@ def test_an_address_dies_with_its_time(start_api: Any) -> None:
     mission_id = api.mission(api.project()["id"])["id"]
     started = begin(api, mission_id, {"run.bin": b"body"})[0]["upload"]
     signed = sign(api, started, [(1, b"body")]).ok()["items"][0]
-    uploading.wait_until(lambda: put(signed, b"evil") == 403)  # alive, it answers 400 to these
+    upload_client.wait_until(lambda: put(signed, b"evil") == 403)  # alive, it answers 400 to these
     # Good for less than a second, since addresses count whole ones: on a busy machine not for long enough each time.
-    uploading.wait_until(lambda: put(sign(api, started, [(1, b"body")]).ok()["items"][0], b"body") == 200)
+    upload_client.wait_until(lambda: put(sign(api, started, [(1, b"body")]).ok()["items"][0], b"body") == 200)
 
 
 def test_a_file_that_changes_after_it_was_announced_is_gone(api: Api, mission_id: str, one: bytes, two: bytes) -> None:

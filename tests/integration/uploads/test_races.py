@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from kleinkram.server.uploads import queries
+from tests.integration.api_server import Api
 from tests.integration.races import racing
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, fetch, send, upload
+from tests.integration.upload_client import begin, complete, fetch, send, upload
 
 _HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 

@@ -13,8 +13,8 @@ from kleinkram.client.transfer import Outcome, plan_upload, upload
 from kleinkram.client.transfer.journal import journals_dir
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.uploads import UploadFinish
-from tests.integration.running import Api
-from tests.integration.uploading import begin, complete, send, wait_until
+from tests.integration.api_server import Api
+from tests.integration.upload_client import begin, complete, send, wait_until
 
 
 @pytest.mark.parametrize("count", [1, 9])

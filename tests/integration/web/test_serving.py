@@ -9,8 +9,8 @@ import pytest
 import urllib3
 
 from kleinkram.server.access.operations import PLACES
-from kleinkram.server.web.serving import BUILT
-from tests.integration.running import Api
+from kleinkram.server.http.pages import BUILT
+from tests.integration.api_server import Api
 
 _POOL = urllib3.PoolManager(retries=False, timeout=20)
 _ROUTES = Path(__file__).parents[3] / "web" / "src" / "router" / "routes.ts"

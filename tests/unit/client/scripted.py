@@ -10,8 +10,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kleinkram.contract.errors import KleinkramError, to_problem
-from tests.serving import Server
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.problems import to_problem
+from tests.http_server import Server
 
 # With a status of its own, it is what something else says that stands before the server.
 Answer = BaseModel | KleinkramError | bytes | tuple[int, bytes] | None

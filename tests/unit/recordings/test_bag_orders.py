@@ -7,8 +7,8 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary, summarise
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource

@@ -20,7 +20,7 @@ from kleinkram.recordings import (
     summarise,
     to_dict,
 )
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries, params

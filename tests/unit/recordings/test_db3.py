@@ -10,9 +10,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Depth, Fact, RecordingFormat, RecordingSummary
-from kleinkram.recordings.forward import FileForward
+from kleinkram.recordings.formats.rosbag2.db3 import scan_db3
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.db3 import scan_db3
+from kleinkram.recordings.sources import FileForward
 
 from .corpus import Entry, params
 from .databases import SCHEMAS, T0, faults, make_database, steady

@@ -9,21 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.assemble import TopicType, measure
-from kleinkram.recordings.combining import combine
-from kleinkram.recordings.density import (
-    FEW_BINS,
-    MANY_TOPICS,
-    MAX_BINS,
-    add_up,
-    count_stamps,
-    on_axis,
-    pack,
-    unpack,
-)
+from kleinkram.recordings.combine_summaries import combine
+from kleinkram.recordings.density import FEW_BINS, MANY_TOPICS, MAX_BINS, add_up, count_stamps, on_axis, pack, unpack
+from kleinkram.recordings.isolation import from_dict, to_dict
 from kleinkram.recordings.model import Content, Density, RecordingFormat, RecordingSummary
-from kleinkram.recordings.serialise import from_dict, to_dict
 from kleinkram.recordings.timeline import YEAR_NS, Timeline
+from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings import Content, FileSource, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries

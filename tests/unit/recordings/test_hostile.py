@@ -10,11 +10,11 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.bag.writer import BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource

@@ -31,8 +31,8 @@ from kleinkram.recordings import (
     summarise_isolated,
     timed_out,
 )
-from kleinkram.recordings.forward import from_file
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 
 from .test_hostile import chunk, mcap_of

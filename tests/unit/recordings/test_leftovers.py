@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from kleinkram.recordings import Content, FileSource
+from kleinkram.recordings.formats.rosbag2.database import find_leftovers
 from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.leftovers import find_leftovers
-from kleinkram.recordings.rosbag2.spool import KEPT_FREE_BYTES
 from kleinkram.recordings.summary import scan_with_logs
+from kleinkram.recordings.temporary_files import KEPT_FREE_BYTES
 
 from .databases import make_database, steady
 from .test_db3 import scan_file

@@ -9,11 +9,11 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Problem, combine, summarise
-from kleinkram.recordings.bag import records as bag_records
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import McapWriter
+from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource

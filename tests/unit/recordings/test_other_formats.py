@@ -21,13 +21,13 @@ from kleinkram.recordings import (
     parse_rosbag2_metadata,
     summarise,
 )
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap.writer import McapWriter
-from kleinkram.recordings.other.describe import describe
-from kleinkram.recordings.other.lines import MAX_LINE_BYTES, read_lines
-from kleinkram.recordings.other.trajectories import parse_stamp
-from kleinkram.recordings.reading.errors import NotARecording
-from kleinkram.recordings.reading.recording import Recording
+from kleinkram.recordings.errors import NotARecording
+from kleinkram.recordings.formats.describe import describe
+from kleinkram.recordings.formats.documents import MAX_LINE_BYTES, read_lines
+from kleinkram.recordings.formats.mcap.writer import McapWriter
+from kleinkram.recordings.formats.trajectories import parse_stamp
+from kleinkram.recordings.reading import Recording
+from kleinkram.recordings.sources import from_source
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, params

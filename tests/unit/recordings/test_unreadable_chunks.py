@@ -12,9 +12,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, FileSource, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap import records
+from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.reading import Recording
+from kleinkram.recordings.sources import from_file
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements

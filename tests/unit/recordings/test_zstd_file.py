@@ -9,9 +9,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file, from_pipe
+from kleinkram.recordings.formats.zstd_file import scan_zstd_file
+from kleinkram.recordings.sources import from_file, from_pipe
 from kleinkram.recordings.summary import scan
-from kleinkram.recordings.zstd_file import scan_zstd_file
 
 from .corpus import Entry, params
 from .databases import make_database, steady
@@ -131,7 +131,7 @@ def test_a_database_from_a_pipe_is_copied_and_the_copy_is_gone(database: bytes, 
 
 
 def test_no_copy_without_space(database: bytes, monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
-    monkeypatch.setattr("kleinkram.recordings.rosbag2.spool.KEPT_FREE_BYTES", 2**62)
+    monkeypatch.setattr("kleinkram.recordings.temporary_files.KEPT_FREE_BYTES", 2**62)
     summary = scan_bytes(database, "a.db3")
     assert summary.content is Content.pending
     assert str(temporary) in (summary.reason or "")

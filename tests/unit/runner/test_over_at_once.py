@@ -21,7 +21,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner import ward
 from kleinkram.runner.docker.executor import DockerExecutor
 from kleinkram.runner.work import CannotStart, Work
-from tests.lacking import missing, need
+from tests.requirements import missing, need
 from tests.unit.runner.engines import with_engine
 
 WORDS = b"ERROR (catatonit:2): failed to exec pid1: No such file or directory\n"

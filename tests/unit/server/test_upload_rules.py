@@ -80,7 +80,7 @@ def test_the_same_content_under_the_same_name_is_present() -> None:
 def test_other_content_under_the_same_name_is_refused_naming_both_hashes() -> None:
     error = decide(_requested(sha256=_OTHER), _facts(files={"run.mcap": _existing()})).error
     assert isinstance(error, FileExists)
-    assert (error.existing_sha256, error.given_sha256) == (_SHA, _OTHER)
+    assert (error.existing_sha256, error.sent_sha256) == (_SHA, _OTHER)
 
 
 @pytest.mark.parametrize("state", ["lost", "corrupt"])

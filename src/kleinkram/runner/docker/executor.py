@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection, Sequence
 
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import Abilities, Isolation
+from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.runner.docker import container, warden
 from kleinkram.runner.docker.engine import Engine, EngineAway, Refused
@@ -41,10 +41,10 @@ class DockerExecutor:
         self._images = Images(engine, facts.architecture, pull=pull, allowed=allowed)
 
     @property
-    def abilities(self) -> Abilities:
+    def abilities(self) -> ExecutorAbilities:
         """What it can do here. Doors into a container's network are made by root alone."""
         networks = {Network.none, Network.open} | ({Network.api} if self._is_root else set())
-        return Abilities(
+        return ExecutorAbilities(
             executor="docker",
             isolation=Isolation.container,
             images=True,

@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import Abilities, Isolation
+from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.runner.process import room, warden
 from kleinkram.runner.wardens import Wardens, check_doors, make_folders
@@ -22,9 +22,9 @@ class ProcessExecutor:
         self._wardens = Wardens(warden.__name__, outlived=False)
 
     @property
-    def abilities(self) -> Abilities:
+    def abilities(self) -> ExecutorAbilities:
         """What it can do here. Without a room, a run reads and reaches whatever its runner does."""
-        return Abilities(
+        return ExecutorAbilities(
             executor="process",
             isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
             images=False,

@@ -29,8 +29,8 @@ from kleinkram.server.blobs import scrubs
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.home.service import is_low, store_use
-from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
 from kleinkram.server.settings import Settings, is_secret
@@ -98,7 +98,7 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
 async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
-        raise NotAuthenticated(reason="a scrub is asked for by somebody")
+        raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))

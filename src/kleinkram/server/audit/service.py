@@ -14,10 +14,9 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.audit import queries
-from kleinkram.server.bulk import insert_rows, unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, Database
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
 
 _AT_ONCE = 500

@@ -32,11 +32,11 @@ from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.blobs.scrubbing import scrub_store
 from kleinkram.server.blobs.verification import Found, Unreadable, read_through
 from kleinkram.server.context import AppContext
+from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S, VERIFY_PATIENCE_S
 from kleinkram.server.jobs.job_context import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.queue import Job, Urgency, hasten, queue
 from kleinkram.server.jobs.retention import forget_ended
-from kleinkram.server.rate_limit import forget_counts
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.trash.emptying import empty_trash
 
@@ -284,7 +284,7 @@ async def sweep_once(context: AppContext) -> None:
         await scrubs.begin_due_scrub(db, context.settings)
     async with context.database.begin() as db:
         await forget_ended(db)
-        await forget_counts(db)
+        await delete_expired_counts(db)
         await empty_trash(db, older_than_days=context.settings.trash_days, limit=_SWEEP_BATCH)
     async with context.database.begin() as db:
         await service.doom_unreferenced(db, limit=_SWEEP_BATCH)

@@ -9,7 +9,7 @@ from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal
 
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.server.db import among
-from kleinkram.server.tables import blob, file, log_segment, run, run_artifact, run_input, upload
+from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
 from kleinkram.server.tables.run import ACTIVE
 
 # Read whole and at once, many after one another: what is in it and its verification are then one thing to do.
@@ -153,5 +153,5 @@ def kept_between(
 def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
     """Return how many of some keys no row of ours holds."""
     key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
-    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_segment)]
+    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_chunk)]
     return select(func.count(key)).where(~or_(*ours))

@@ -17,9 +17,8 @@ from kleinkram.recordings.density import pack
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
-from kleinkram.server.bulk import unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, unnest_rows
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, settle, start_now, waiting
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup

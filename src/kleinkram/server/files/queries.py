@@ -41,11 +41,11 @@ from kleinkram.server.access.visible import (
 )
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among, among_given, by_name
+from kleinkram.server.files.topics import TOPIC_ORDER, topic_rows
+from kleinkram.server.filters.asked import Asked
+from kleinkram.server.filters.files import narrow_files, narrow_walked
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
-from kleinkram.server.search.asked import Asked
-from kleinkram.server.search.matching import narrow_files, narrow_walked
-from kleinkram.server.search.topics import TOPIC_ORDER, topic_rows
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)

@@ -17,10 +17,10 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.etags import IfMatch
 from kleinkram.server.files import labelling, service
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
 
@@ -42,7 +42,7 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 
 @router.post("/files/download", operation_id="download_files")
-async def download_files(wanted: DownloadRequest, context: CurrentSite, actor: CurrentActor) -> DownloadLinks:
+async def download_files(wanted: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted, and for what."""
     links = await service.link_files(context, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
     return DownloadLinks(items=links)

@@ -31,16 +31,16 @@ from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.etags import require_match
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
+from kleinkram.server.files.topics import to_topics
+from kleinkram.server.filters.asked import asked_alike, values
+from kleinkram.server.filters.looking import meets_many
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_listed, rows_after
+from kleinkram.server.paging import Order, PageRequest, Rows, cut, fetch_listed, rows_after
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.search.asked import asked_alike, values
-from kleinkram.server.search.looking import meets_many
-from kleinkram.server.search.topics import to_topics
 from kleinkram.server.shares.service import note_downloads
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}

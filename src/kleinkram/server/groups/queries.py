@@ -10,8 +10,8 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import knows_addresses, visible_groups
-from kleinkram.server.pages import Order
-from kleinkram.server.search.globs import matches_key
+from kleinkram.server.filters.patterns import matches_key
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import (
     access_grant,
     access_group,

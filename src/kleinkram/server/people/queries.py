@@ -11,8 +11,8 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.access.visible import knows_addresses, visible_people
-from kleinkram.server.pages import Order
-from kleinkram.server.search.globs import holds_word
+from kleinkram.server.filters.patterns import holds_word
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
 
 # By name, then by age.

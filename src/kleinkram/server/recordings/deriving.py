@@ -25,7 +25,7 @@ from kleinkram.recordings import (
     combine,
     group,
 )
-from kleinkram.recordings.rosbag2.folder import combine_folder
+from kleinkram.recordings.combine_summaries import combine_folder
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection

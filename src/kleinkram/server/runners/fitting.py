@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row, Select, case, func, select
 
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import LEASE_S, Abilities, Capacity, Isolation
+from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities, Isolation
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import person, runner, token, token_limit
 
@@ -71,19 +71,19 @@ class Needs(NamedTuple):
     gpus: int
 
 
-def runs_scripts(each: Row[Any], abilities: Abilities) -> bool:
+def runs_scripts(each: Row[Any], abilities: ExecutorAbilities) -> bool:
     """Say whether a runner has what scripts run on: an image for that, where it runs images; its own Python, else."""
-    return not abilities.images or each.stock_image is not None
+    return not abilities.images or each.default_image is not None
 
 
-def is_for_owner_only(abilities: Abilities) -> bool:
+def is_for_owner_only(abilities: ExecutorAbilities) -> bool:
     """Say whether a runner isolates runs too weakly for a server on which several people have accounts."""
     return abilities.isolation is not Isolation.container
 
 
 def refusal(run: Row[Any] | Needs, each: Row[Any], *, owners_alone: bool) -> str | None:
     """Return why a runner could never do a run; None where it could, once enough of it is free."""
-    abilities = Abilities.model_validate(each.abilities)
+    abilities = ExecutorAbilities.model_validate(each.abilities)
     capacity = Capacity.model_validate(each.capacity)
     if is_for_owner_only(abilities) and not owners_alone:
         return "it runs actions without containers, which is allowed only while one person alone has an account"
@@ -120,7 +120,7 @@ def why_never(run: Row[Any] | Needs, known: Collection[Row[Any]], *, owners_alon
     ordered = sorted(reasons, key=lambda pair: (not set(run.labels) <= set(pair[0].labels), pair[0].name))
     listed = "; ".join(f"{each.name}: {reason}" for each, reason in ordered[:_MOST_NAMED])
     remedy = _REMEDY
-    if not owners_alone and any(is_for_owner_only(Abilities.model_validate(each.abilities)) for each in known):
+    if not owners_alone and any(is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)) for each in known):
         remedy = CONTAINERS_REMEDY
     return f"No runner can do it ({listed}). {remedy}"
 
@@ -153,7 +153,7 @@ def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, o
         return f"{runs} never start. {reasons[0][1]}"
     if owners_alone or not known:
         return None
-    if all(is_for_owner_only(Abilities.model_validate(each.abilities)) for each in known):
+    if all(is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)) for each in known):
         plain = Needs(None, [], False, Network.none.value, 0, 0, 0, 0)
         return f"Actions cannot be run. {why_never(plain, known, owners_alone=owners_alone)}"
     return None
@@ -161,7 +161,7 @@ def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, o
 
 def invitation_warning(known: Collection[Row[Any]], *, owners_alone: bool) -> str | None:
     """Return what stops once a second person has an account; None where nothing does."""
-    weak = sorted(each.name for each in known if is_for_owner_only(Abilities.model_validate(each.abilities)))
+    weak = sorted(each.name for each in known if is_for_owner_only(ExecutorAbilities.model_validate(each.abilities)))
     if not owners_alone or not weak:
         return None
     names = " and ".join(weak[:_MOST_NAMED])

@@ -12,13 +12,13 @@ from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.reports import Report, Severity
 from kleinkram.contract.runners import (
-    InputsAsk,
+    InputsRequest,
     InputUrls,
+    LogChunkConfirm,
+    LogChunkCreate,
+    LogChunkUpload,
     RunFinish,
     RunFinished,
-    SegmentAsk,
-    SegmentKept,
-    SegmentPut,
 )
 from kleinkram.contract.runs import LOG_BYTES, ActionRef, Cause, EndReason, RunContext, RunState
 from kleinkram.contract.uploads import ChecksumKind
@@ -29,6 +29,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
+from kleinkram.server.files.topics import to_topics, topic_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
 from kleinkram.server.runners import queries
@@ -36,11 +37,10 @@ from kleinkram.server.runners.service import thinned
 from kleinkram.server.runs.ending import end_run
 from kleinkram.server.runs.putting_back import put_back
 from kleinkram.server.s3.storage import PartTarget
-from kleinkram.server.search.topics import to_topics, topic_rows
 from kleinkram.server.tables import (
     blob,
     file,
-    log_segment,
+    log_chunk,
     run,
     run_artifact,
     run_finding,
@@ -93,7 +93,7 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
     )
 
 
-async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, asked: InputsAsk) -> InputUrls:
+async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, asked: InputsRequest) -> InputUrls:
     """Return where a runner reads inputs, in the order asked.
 
     Raises:
@@ -114,7 +114,9 @@ async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, a
     return InputUrls(urls=urls, expires_at=expires_at)
 
 
-async def sign_segment(context: AppContext, actor: Actor, *, run_id: uuid.UUID, asked: SegmentAsk) -> SegmentPut:
+async def create_log_chunk(
+    context: AppContext, actor: Actor, *, run_id: uuid.UUID, asked: LogChunkCreate
+) -> LogChunkUpload:
     """Return where a runner stores a piece of a log. Asked again, the piece may go to another place: none is shown yet.
 
     Raises:
@@ -126,7 +128,7 @@ async def sign_segment(context: AppContext, actor: Actor, *, run_id: uuid.UUID, 
     async with context.database.begin() as db:
         await hold(db, actor, run_id, asked.attempt)
         values = {"run_id": run_id, "attempt": asked.attempt, "offset_bytes": asked.offset}
-        stmt = insert(log_segment).values(
+        stmt = insert(log_chunk).values(
             key=key, store_id=context.settings.store_id, size_bytes=asked.size_bytes, **values
         )
         await db.execute(stmt)
@@ -134,25 +136,25 @@ async def sign_segment(context: AppContext, actor: Actor, *, run_id: uuid.UUID, 
     checksum = {ChecksumKind.sha256: asked.sha256, ChecksumKind.crc64nvme: asked.crc64nvme, ChecksumKind.md5: asked.md5}
     target = PartTarget(key, None, 1, asked.size_bytes, checksum[kind])
     signed = context.storage.sign_part(target, expires_s=context.settings.part_url_s)
-    return SegmentPut(url=signed.url, headers=signed.headers)
+    return LogChunkUpload(url=signed.url, headers=signed.headers)
 
 
-async def keep_segment(db: Connection, actor: Actor, *, run_id: uuid.UUID, kept: SegmentKept) -> None:
+async def confirm_log_chunk(db: Connection, actor: Actor, *, run_id: uuid.UUID, kept: LogChunkConfirm) -> None:
     """Show a piece of a log that was stored. Pieces come one after the other; one that is shown already stays.
 
     Raises:
         RunGone: the runner does not hold the run by this attempt.
     """
     await hold(db, actor, run_id, kept.attempt)
-    same = (log_segment.c.run_id == run_id) & (log_segment.c.attempt == kept.attempt)
-    shown = select(log_segment.c.key).where(
-        same, log_segment.c.kept_at.is_not(None), log_segment.c.offset_bytes >= kept.offset
+    same = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == kept.attempt)
+    shown = select(log_chunk.c.key).where(
+        same, log_chunk.c.kept_at.is_not(None), log_chunk.c.offset_bytes >= kept.offset
     )
     if (await db.execute(shown.limit(1))).first() is not None:
         return
-    here = same & (log_segment.c.offset_bytes == kept.offset) & (log_segment.c.size_bytes == kept.size_bytes)
-    latest = select(log_segment.c.key).where(here).order_by(log_segment.c.created_at.desc()).limit(1)
-    stmt = update(log_segment).where(log_segment.c.key.in_(latest)).values(kept_at=func.now())
+    here = same & (log_chunk.c.offset_bytes == kept.offset) & (log_chunk.c.size_bytes == kept.size_bytes)
+    latest = select(log_chunk.c.key).where(here).order_by(log_chunk.c.created_at.desc()).limit(1)
+    stmt = update(log_chunk).where(log_chunk.c.key.in_(latest)).values(kept_at=func.now())
     await db.execute(stmt)
     row = (await db.execute(select(run.c.mission_id).where(run.c.id == run_id))).one()
     await publish(db, [ChangeEvent("run_log", ChangeKind.changed, run_id, mission_id=row.mission_id)])

@@ -7,10 +7,10 @@ from typing import Any
 from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, exists, func, literal, or_, select
 
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.runners import Abilities, Capacity, ClaimAsk, RunnerRead, RunnerToken
+from kleinkram.contract.runners import Capacity, ClaimRequest, ExecutorAbilities, RunnerRead, RunnerToken
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
@@ -41,8 +41,8 @@ def to_runner(row: Row[Any], projects: Sequence[Row[Any]] = ()) -> RunnerRead:
         name=row.name,
         labels=row.labels,
         capacity=Capacity.model_validate(row.capacity),
-        abilities=Abilities.model_validate(row.abilities),
-        stock_image=row.stock_image,
+        abilities=ExecutorAbilities.model_validate(row.abilities),
+        default_image=row.default_image,
         version=row.version,
         last_seen_at=row.last_seen_at,
         is_alive=row.is_alive,
@@ -85,9 +85,9 @@ def unheard_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[A
     return _with_definition().where(given).limit(1).with_for_update(of=run)
 
 
-def next_run(row: Row[Any], asked: ClaimAsk, *, owners_alone: bool) -> Select[Any] | None:
+def next_run(row: Row[Any], asked: ClaimRequest, *, owners_alone: bool) -> Select[Any] | None:
     """Return the oldest run in the queue that fits what a runner has free, locked; None where it may do none."""
-    abilities = Abilities.model_validate(row.abilities)
+    abilities = ExecutorAbilities.model_validate(row.abilities)
     if is_for_owner_only(abilities) and not owners_alone:
         return None
     free = asked.free

@@ -7,27 +7,27 @@ from fastapi import APIRouter, Query, Request
 
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.runners import (
-    ArtifactsBegin,
+    ArtifactUploadsCreate,
     Attempt,
-    BeatAnswers,
-    Beats,
-    ClaimAsk,
-    Claimed,
-    InputsAsk,
+    ClaimReply,
+    ClaimRequest,
+    HeartbeatReplies,
+    Heartbeats,
+    InputsRequest,
     InputUrls,
+    LogChunkConfirm,
+    LogChunkCreate,
+    LogChunkUpload,
     RunFinish,
     RunFinished,
-    RunnerHello,
     RunnerRead,
-    SegmentAsk,
-    SegmentKept,
-    SegmentPut,
+    RunnerRegistration,
 )
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
-from kleinkram.server.http import mark_as_stream
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.middleware import mark_as_stream
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.runners import holding, service
 from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
 from kleinkram.server.uploads.completion import finish_interrupted_artifacts
@@ -47,25 +47,25 @@ async def list_runners(
     return await service.list_runners(db, page=PageRequest(limit, cursor))
 
 
-@router.post("/runners", operation_id="say_hello")
-async def say_hello(hello: RunnerHello, db: Transaction, actor: CurrentActor) -> RunnerRead:
+@router.post("/runners", operation_id="register_runner")
+async def register_runner(hello: RunnerRegistration, db: Transaction, actor: CurrentActor) -> RunnerRead:
     """Say what a runner is, whenever it starts."""
-    return await service.say_hello(db, actor, hello=hello)
+    return await service.register_runner(db, actor, hello=hello)
 
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, asked: ClaimAsk, request: Request, context: CurrentSite, actor: CurrentActor
-) -> Claimed:
+    runner_id: uuid.UUID, asked: ClaimRequest, request: Request, context: CurrentContext, actor: CurrentActor
+) -> ClaimReply:
     """Ask for a run that fits what is free, and wait for one."""
     mark_as_stream(request.scope)
     return await service.claim(context, request.app.state.hub, actor, runner_id=runner_id, asked=asked)
 
 
-@router.post("/runners/{runner_id}/beats", operation_id="beat")
-async def beat(runner_id: uuid.UUID, said: Beats, db: Transaction, actor: CurrentActor) -> BeatAnswers:
+@router.post("/runners/{runner_id}/heartbeats", operation_id="send_heartbeats")
+async def beat(runner_id: uuid.UUID, said: Heartbeats, db: Transaction, actor: CurrentActor) -> HeartbeatReplies:
     """Say what all runs are at, and hear which are to end."""
-    return await service.take_beats(db, actor, runner_id=runner_id, said=said)
+    return await service.record_heartbeats(db, actor, runner_id=runner_id, said=said)
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
@@ -75,28 +75,30 @@ async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transact
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
-async def sign_inputs(run_id: uuid.UUID, asked: InputsAsk, context: CurrentSite, actor: CurrentActor) -> InputUrls:
+async def sign_inputs(
+    run_id: uuid.UUID, asked: InputsRequest, context: CurrentContext, actor: CurrentActor
+) -> InputUrls:
     """Get where to read inputs."""
     return await holding.sign_inputs(context, actor, run_id=run_id, asked=asked)
 
 
-@router.post("/runner/runs/{run_id}/log/sign", operation_id="sign_log_segment")
-async def sign_log_segment(
-    run_id: uuid.UUID, asked: SegmentAsk, context: CurrentSite, actor: CurrentActor
-) -> SegmentPut:
+@router.post("/runner/runs/{run_id}/log-chunks", operation_id="create_log_chunk")
+async def create_log_chunk(
+    run_id: uuid.UUID, asked: LogChunkCreate, context: CurrentContext, actor: CurrentActor
+) -> LogChunkUpload:
     """Get where to store a piece of a log."""
-    return await holding.sign_segment(context, actor, run_id=run_id, asked=asked)
+    return await holding.create_log_chunk(context, actor, run_id=run_id, asked=asked)
 
 
-@router.post("/runner/runs/{run_id}/log/kept", operation_id="keep_log_segment", status_code=204)
-async def keep_log_segment(run_id: uuid.UUID, kept: SegmentKept, db: Transaction, actor: CurrentActor) -> None:
+@router.post("/runner/runs/{run_id}/log-chunks/confirm", operation_id="confirm_log_chunk", status_code=204)
+async def confirm_log_chunk(run_id: uuid.UUID, kept: LogChunkConfirm, db: Transaction, actor: CurrentActor) -> None:
     """Say that a piece of a log was stored: people see it from then on."""
-    await holding.keep_segment(db, actor, run_id=run_id, kept=kept)
+    await holding.confirm_log_chunk(db, actor, run_id=run_id, kept=kept)
 
 
-@router.post("/runner/runs/{run_id}/uploads", operation_id="begin_artifacts")
+@router.post("/runner/runs/{run_id}/uploads", operation_id="create_artifact_uploads")
 async def begin_uploads_of_run(
-    run_id: uuid.UUID, body: ArtifactsBegin, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, body: ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
     async with context.database.begin() as db:

@@ -19,19 +19,19 @@ from kleinkram.contract.errors import (
     NoInputs,
     NoRunner,
     NotFound,
-    to_problem,
 )
 from kleinkram.contract.files import BlobState, FileFilter
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import (
     CONTEXT_FILE,
     EndReason,
-    RunMade,
+    RunCreated,
     RunRead,
     RunRefused,
     RunsCreate,
-    RunsMade,
+    RunsCreated,
     RunState,
 )
 from kleinkram.server.access.actor import Actor
@@ -39,9 +39,9 @@ from kleinkram.server.access.visible import level_on_mission, visible_files, vis
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
+from kleinkram.server.filters.files import narrow_files
 from kleinkram.server.runners.fitting import Needs, alive_runners, is_owners_alone, known_runners, why_never
 from kleinkram.server.runs import reading
-from kleinkram.server.search.matching import narrow_files
 from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
 
 # What a run says of its results, and a run that reuses them says too.
@@ -72,7 +72,7 @@ class Task:
     runners: Runners
 
 
-async def launch(db: Connection, actor: Actor, *, wanted: RunsCreate) -> RunsMade:
+async def launch(db: Connection, actor: Actor, *, wanted: RunsCreate) -> RunsCreated:
     """Make a run on each mission; one that cannot be made does not keep the others from it.
 
     Raises:
@@ -81,14 +81,14 @@ async def launch(db: Connection, actor: Actor, *, wanted: RunsCreate) -> RunsMad
     """
     task = await _task(db, actor, wanted)
     wanted_ids = dict.fromkeys(wanted.mission_ids)
-    return RunsMade(items=[await _made_or_refused(db, actor, task, each, force=wanted.force) for each in wanted_ids])
+    return RunsCreated(items=[await _made_or_refused(db, actor, task, each, force=wanted.force) for each in wanted_ids])
 
 
 async def _made_or_refused(
     db: Connection, actor: Actor, task: Task, mission_id: uuid.UUID, *, force: bool
-) -> RunMade | RunRefused:
+) -> RunCreated | RunRefused:
     try:
-        return RunMade(run=await make_run(db, actor, task, mission_id, force=force))
+        return RunCreated(run=await make_run(db, actor, task, mission_id, force=force))
     except KleinkramError as error:  # found before anything of that run is written
         return RunRefused(mission_id=mission_id, problem=to_problem(error, actor.request_id))
 
@@ -227,7 +227,7 @@ async def _inputs(db: Connection, actor: Actor, definition: ActionDefinition, pl
     if not rows:
         said = [f"{name} {', '.join(globs)}" for name, globs in wanted.model_dump().items() if globs]
         told = " and ".join(said).replace("_", " ") or "any file"
-        raise NoInputs(mission=place.name, action=definition.name, wanted=told)
+        raise NoInputs(mission=place.name, action=definition.name, inputs=told)
     for row in rows:
         if row.state in _UNREADABLE:
             raise FileUnavailable(path=row.path, state=row.state)
@@ -247,7 +247,7 @@ async def _earlier(db: Connection, task: Task, mission_id: uuid.UUID, given: byt
     """Return the latest good run of the same on the same mission, by an image that would be run now too."""
     images = {task.image_digest} - {None}
     if task.definition.image is None:
-        images = {each.stock_image for each in await alive_runners(db)}
+        images = {each.default_image for each in await alive_runners(db)}
     same_image = or_(false(), *(run.c.image_digest.is_not_distinct_from(each) for each in images))
     good = (run.c.given_sha256 == given) & (run.c.state == RunState.done.value) & run.c.reuses_id.is_(None)
     stmt = select(run).where(good, run.c.mission_id == mission_id, same_image)

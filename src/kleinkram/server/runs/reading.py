@@ -17,18 +17,18 @@ from kleinkram.contract.runs import (
     ArtifactUrl,
     FindingRead,
     MetricRead,
+    ReportFilter,
     RunDetail,
     RunFilter,
     RunInput,
     RunRead,
     RunState,
-    SayingFilter,
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.tables import run, run_artifact
@@ -174,7 +174,7 @@ async def link_artifacts(
 
 
 async def list_findings(
-    db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest
+    db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest
 ) -> Page[FindingRead]:
     """Return a page of what runs noticed, latest first.
 
@@ -187,7 +187,7 @@ async def list_findings(
     return Page(items=[queries.to_finding(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def list_metrics(db: Connection, actor: Actor, *, matching: SayingFilter, page: PageRequest) -> Page[MetricRead]:
+async def list_metrics(db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest) -> Page[MetricRead]:
     """Return a page of the numbers that runs found, latest first.
 
     Raises:
@@ -199,7 +199,7 @@ async def list_metrics(db: Connection, actor: Actor, *, matching: SayingFilter, 
     return Page(items=[queries.to_metric(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def _of_results(db: Connection, actor: Actor, matching: SayingFilter) -> SayingFilter:
+async def _of_results(db: Connection, actor: Actor, matching: ReportFilter) -> ReportFilter:
     if matching.run_id is None:
         return matching
     return matching.model_copy(update={"run_id": await results_of(db, actor, matching.run_id)})

@@ -13,18 +13,18 @@ from kleinkram.contract.runs import (
     ArtifactUrls,
     FindingRead,
     LineageRead,
-    LogPiece,
+    LogChunkRead,
     MetricRead,
+    ReportFilter,
     RunDetail,
     RunFilter,
     RunInput,
     RunRead,
     RunsCreate,
-    RunsMade,
-    SayingFilter,
+    RunsCreated,
 )
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.runs import ending, launching, lineage, logs, reading
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
@@ -38,7 +38,7 @@ class RunListQuery(RunFilter):
     count: bool = False
 
 
-class SayingListQuery(SayingFilter):
+class ReportListQuery(ReportFilter):
     """The query of a list of findings or metrics."""
 
     limit: PageSize = 100
@@ -56,7 +56,7 @@ class LogQuery(BaseModel):
 
 
 @router.post("/runs", operation_id="create_runs")
-async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsMade:
+async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
     """Run an action on each of some missions; says for each mission whether there is a run."""
     return await launching.launch(db, actor, wanted=wanted)
 
@@ -112,7 +112,7 @@ async def list_artifacts(
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
 ) -> ArtifactUrls:
     """Return where to read artifacts; who asked is noted."""
     items = await reading.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
@@ -124,9 +124,9 @@ async def get_run_log(
     run_id: uuid.UUID,
     query: Annotated[LogQuery, Query()],
     request: Request,
-    context: CurrentSite,
+    context: CurrentContext,
     actor: CurrentActor,
-) -> LogPiece:
+) -> LogChunkRead:
     """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
@@ -134,7 +134,7 @@ async def get_run_log(
 
 @router.get("/findings", operation_id="list_findings")
 async def list_findings(
-    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[FindingRead]:
     """List what runs noticed, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -143,7 +143,7 @@ async def list_findings(
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
-    query: Annotated[SayingListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[MetricRead]:
     """List the numbers that runs found, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)

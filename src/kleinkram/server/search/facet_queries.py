@@ -44,9 +44,10 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among
-from kleinkram.server.search import choosing, looking
-from kleinkram.server.search.asked import Asked, values
-from kleinkram.server.search.matching import file_conditions, narrow_files, narrow_topics
+from kleinkram.server.filters import looking
+from kleinkram.server.filters.asked import Asked, values
+from kleinkram.server.filters.files import file_conditions, narrow_files, narrow_topics
+from kleinkram.server.search import choosing
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12

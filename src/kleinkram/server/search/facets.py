@@ -15,10 +15,11 @@ from kleinkram.contract.searching import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
-from kleinkram.server.search import choosing, looking
-from kleinkram.server.search.asked import asked_alike
+from kleinkram.server.filters import looking
+from kleinkram.server.filters.asked import asked_alike
+from kleinkram.server.filters.looking import let_join, look_ahead
+from kleinkram.server.search import choosing
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
-from kleinkram.server.search.looking import let_join, look_ahead
 from kleinkram.server.search.queries import room_to_count
 
 # Files that are looked at, and for how long; fewer where that takes too long.

@@ -13,9 +13,9 @@ from kleinkram.server.access.visible import visible_files
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
-from kleinkram.server.pages import in_order
-from kleinkram.server.search.asked import Asked, asked_alike, values
-from kleinkram.server.search.matching import narrow_files
+from kleinkram.server.filters.asked import Asked, asked_alike, values
+from kleinkram.server.filters.files import narrow_files
+from kleinkram.server.paging import in_order
 from kleinkram.server.tables import file
 
 # Files that a search finds and that are named in what it asks besides.

@@ -29,11 +29,11 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
 from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Written
-from kleinkram.server.search.asked import Asked
-from kleinkram.server.search.looking import rounded
-from kleinkram.server.search.matching import narrow_files, narrow_topics, words_in
-from kleinkram.server.search.topics import topic_rows
-from kleinkram.server.search.where import metadata_text
+from kleinkram.server.files.topics import topic_rows
+from kleinkram.server.filters.asked import Asked
+from kleinkram.server.filters.files import narrow_files, narrow_topics, words_in
+from kleinkram.server.filters.looking import rounded
+from kleinkram.server.filters.metadata import metadata_text
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
 _MEMORY = "32MB"

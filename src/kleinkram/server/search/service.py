@@ -17,13 +17,13 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
+from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
+from kleinkram.server.filters.asked import asked_alike, values
+from kleinkram.server.filters.looking import Outlook, look_ahead
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.search import queries
-from kleinkram.server.search.asked import asked_alike, values
 from kleinkram.server.search.few import find_few
-from kleinkram.server.search.looking import Outlook, look_ahead
-from kleinkram.server.search.topics import TOPIC_ORDER, to_topics
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000

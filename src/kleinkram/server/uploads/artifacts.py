@@ -7,8 +7,14 @@ from dataclasses import dataclass
 from sqlalchemy import func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone, to_problem
+from kleinkram.contract.errors import (
+    FileExists,
+    RunGone,
+    StoreUnavailable,
+    UploadGone,
+)
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.uploads import Present, Refused, Send, StoredPart, UploadDecision, UploadFile, UploadState
 from kleinkram.server.access.actor import Actor
@@ -19,7 +25,7 @@ from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.parts import Failures, lease_columns, open_multiparts
+from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
 from kleinkram.server.uploads.queries import UploadRow
 from kleinkram.server.uploads.rules import blob_columns
 from kleinkram.server.uploads.service import free_names, new_upload, to_upload_read
@@ -55,7 +61,7 @@ async def begin_artifacts(
         uploads = await queries.read_rows(db, queries.select_uploads().where(among(upload.c.id, ids)))
     multipart = [row for row in uploads if row.is_multipart]
     try:
-        parts = await open_multiparts(context, multipart, resumed=set(continued.values())) if multipart else {}
+        parts = await list_multiparts(context, multipart, resumed=set(continued.values())) if multipart else {}
     except StoreUnavailable:
         await free_names(context, new)
         raise
@@ -123,7 +129,7 @@ def _to_wire(
     error = FileExists(
         path=requested.path,
         existing_sha256=existing_sha256,
-        given_sha256=requested.sha256 or "",
+        sent_sha256=requested.sha256 or "",
         existing_file_id=None,
     )
     return Refused(path=requested.path, problem=to_problem(error, actor.request_id))

@@ -32,9 +32,9 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.bulk import unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
+from kleinkram.server.db import unnest_rows
 from kleinkram.server.s3.storage import PartTarget, Storage, StoreMissing, StoreRefused
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import upload
@@ -146,7 +146,7 @@ def _sign(context: AppContext, row: UploadRow, part: PartToSign, expires_at: dat
 # -- what the store has -----------------------------------------------------------------------------------------------
 
 
-async def open_multiparts(
+async def list_multiparts(
     context: AppContext, uploads: Sequence[UploadRow], *, resumed: Collection[uuid.UUID] = ()
 ) -> dict[uuid.UUID, list[StoredPart]]:
     """Open the multipart uploads that the store does not have yet, and return the parts that it has of each.

@@ -163,7 +163,7 @@ def _file_exists(path: str, existing: ExistingFile, content: Content, *, may_rea
     return FileExists(
         path=path,
         existing_sha256=existing.sha256.hex() if may_read else None,
-        given_sha256=content.sha256.hex(),
+        sent_sha256=content.sha256.hex(),
         existing_file_id=str(existing.id) if may_read else None,
     )
 

@@ -11,11 +11,17 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
-from kleinkram.contract.errors import NameLeased, NotFound, PathConflict, StoreUnavailable, to_problem
+from kleinkram.contract.errors import (
+    NameLeased,
+    NotFound,
+    PathConflict,
+    StoreUnavailable,
+)
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
@@ -34,14 +40,13 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.bulk import upsert_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
@@ -50,7 +55,7 @@ from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.parts import (
     announced_checksum,
     lease_columns,
-    open_multiparts,
+    list_multiparts,
     sign_only_part,
     stored_small_files,
 )
@@ -304,7 +309,7 @@ async def _open_at_store(
     resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
     multipart = [row for row in uploads.values() if row.is_multipart]
     try:
-        parts = await open_multiparts(context, multipart, resumed=resumed) if multipart else {}
+        parts = await list_multiparts(context, multipart, resumed=resumed) if multipart else {}
         # A resumed upload may have so many small files at the store that sending them again would take long.
         return parts | await stored_small_files(context.storage, [uploads[id_] for id_ in resumed])
     except StoreUnavailable:

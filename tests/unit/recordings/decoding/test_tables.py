@@ -23,7 +23,7 @@ from kleinkram.recordings.decoding import (
     to_pandas,
     to_plain,
 )
-from kleinkram.recordings.reading.recording import Recording
+from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from kleinkram.recordings.reading.ahead import Job, do_ahead
+from kleinkram.recordings.merge import Job, do_ahead
 from kleinkram.recordings.sources import read_ranges
 
 _S = 20

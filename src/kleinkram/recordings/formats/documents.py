@@ -1,0 +1,95 @@
+"""Lines of a text of any size, read forward: one block and one line are held, and a line that is too long is cut."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+
+from kleinkram.recordings.limits import WINDOW
+from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import Forward
+
+MAX_LINE_BYTES = 64 * 2**10
+
+
+def read_lines(forward: Forward) -> Iterator[bytes]:
+    """Yield lines without their end, empty ones too; of a longer line than `MAX_LINE_BYTES` only its beginning.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    rest = b""
+    is_cut = False
+    while block := forward.read(WINDOW):
+        *lines, last = block.split(b"\n")
+        for line in lines:
+            if not is_cut:
+                yield (rest + line)[:MAX_LINE_BYTES].rstrip(b"\r")
+            rest, is_cut = b"", False
+        rest += last
+        if len(rest) > MAX_LINE_BYTES and not is_cut:
+            yield rest[:MAX_LINE_BYTES]
+            is_cut = True
+        rest = b"" if is_cut else rest
+    if rest and not is_cut:
+        yield rest.rstrip(b"\r")
+
+
+MAX_JSON_BYTES = 8 * 2**20
+_YAML_KEY = re.compile(rb"""(?P<quote>["']?)(?P<key>[^\s#\-"'\[{][^:#"']*)(?P=quote)\s*:(\s|$)""")
+_MOST_KEYS = 10_000
+_LISTED_KEYS = 64
+_MAX_NAME = 128
+_CALIBRATION_KEYS = {"camera_matrix", "distortion_coefficients"}
+_KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
+
+
+def describe_yaml(forward: Forward) -> RecordingSummary:
+    """Count the keys at the top of a YAML file; reads it to its end.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    keys: dict[str, None] = {}
+    kalibr: set[bytes] = set()
+    for line in read_lines(forward):
+        match = _YAML_KEY.match(line)
+        if match is not None and len(keys) < _MOST_KEYS:
+            keys[match["key"].decode("utf-8", "replace").strip()[:_MAX_NAME]] = None
+        kalibr.update(key for key in _KALIBR_KEYS if line.strip().startswith(key))
+    facts = [Fact("keys", len(keys)), *(Fact("key", key) for key in list(keys)[:_LISTED_KEYS])]
+    is_kalibr = "cam0" in keys and len(kalibr) == len(_KALIBR_KEYS)
+    if is_kalibr or keys.keys() >= _CALIBRATION_KEYS:
+        facts.insert(0, Fact("kind", "camera calibration"))
+    reason = "YAML, not a recording"
+    return RecordingSummary(RecordingFormat.yaml, Content.opaque, reason, facts=tuple(facts))
+
+
+def describe_json(forward: Forward) -> RecordingSummary:
+    """Say what is at the top of a JSON file of at most `MAX_JSON_BYTES`; a larger one is only recognised.
+
+    Raises:
+        SourceError: as `Forward.read`.
+    """
+    reason = "JSON, not a recording"
+    facts: list[Fact] = []
+    problems: list[Problem] = []
+    if forward.size_bytes <= MAX_JSON_BYTES:
+        pieces: list[bytes] = []
+        while piece := forward.read(MAX_JSON_BYTES):
+            pieces.append(piece)
+        try:
+            document = json.loads(b"".join(pieces))
+        except (ValueError, RecursionError):
+            problems.append(Problem("json-damaged", forward.name, "it is not whole, or no JSON"))
+        else:
+            facts = _top(document)
+    return RecordingSummary(RecordingFormat.json, Content.opaque, reason, problems=tuple(problems), facts=tuple(facts))
+
+
+def _top(document: object) -> list[Fact]:
+    if isinstance(document, dict):
+        listed = [Fact("key", str(key)[:_MAX_NAME]) for key in list(document)[:_LISTED_KEYS]]
+        return [Fact("keys", len(document)), *listed]
+    return [Fact("items", len(document))] if isinstance(document, list) else []

@@ -1,0 +1,251 @@
+"""Putting messages into the order of their log times, in bounded memory.
+
+What is merged are pieces: chunks, parts of databases, each with the earliest time that it may hold. A piece is opened
+when its time has come, so where pieces follow each other in time, one is held at a time and handed on as it is. Where
+they overlap, all that overlap are held; once they are more than `MAX_HELD`, only a share of each is, and a piece is
+read again for its next share: slower, and still in order. Equal times keep the order of the files.
+
+A piece that holds earlier messages than it promised may come too late for them: those that belong before what was
+handed on already are left out. Whoever makes the piece names that.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from operator import attrgetter
+from typing import Generic, NamedTuple, TypeVar
+
+from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.messages import END_OF_TIME_NS, Block
+from kleinkram.recordings.streams import keep_freed_memory
+
+MAX_HELD = 48 * 2**20
+"""Bytes of messages that may wait for their time before pieces are held in shares."""
+
+OVERHEAD_BYTES = 250
+"""What a message costs beside its data."""
+
+_log_time = attrgetter("log_time_ns")
+
+
+class TooDisordered(RecordingError):
+    """So many parts of the recording overlap in time that they cannot be put in order in bounded memory."""
+
+
+class Run:
+    """Messages of one piece, in order of time; `more` yields those that are not at hand yet.
+
+    Attributes:
+        held_bytes: about the memory that the messages at hand take.
+    """
+
+    def __init__(self, messages: Block, held_bytes: int, more: Iterator[Block] | None = None) -> None:
+        self._messages = messages
+        self._more = more
+        self.held_bytes = held_bytes
+
+    @property
+    def ready_ns(self) -> int:
+        """All its messages before this time are at hand."""
+        if self._more is None:
+            return END_OF_TIME_NS
+        return self._messages[-1].log_time_ns if self._messages else 0
+
+    @property
+    def is_whole(self) -> bool:
+        """Say whether all that is left is at hand."""
+        return self._more is None
+
+    @property
+    def ended(self) -> bool:
+        """Say whether nothing is left."""
+        return self._more is None and not self._messages
+
+    def refill(self) -> None:
+        """Bring more messages to hand."""
+        block = None if self._more is None else next(self._more, None)
+        if block is None:
+            self._more = None
+        else:
+            self._messages = self._messages + block
+            self.held_bytes += weigh(block)
+
+    def take(self, before_ns: int) -> Block:
+        """Hand out the messages before a time, and hold them no longer."""
+        messages = self._messages
+        if not messages or messages[0].log_time_ns >= before_ns:
+            return []
+        if messages[-1].log_time_ns < before_ns:
+            self._messages, self.held_bytes = [], 0
+            return messages
+        cut = bisect_left(messages, before_ns, key=_log_time)
+        self._messages = messages[cut:]
+        self.held_bytes = self.held_bytes * len(self._messages) // len(messages)
+        return messages[:cut]
+
+    def keep_share(self, share_bytes: int, read_again: Callable[[], Block]) -> None:
+        """Hold no more than a share; the rest is read again when its time comes."""
+        left = len(self._messages)
+        self._messages, self.held_bytes = [], 0
+        self._more = _shares(left, share_bytes, read_again)
+        self.refill()
+
+
+class Piece(NamedTuple):
+    """Something that holds messages from `first_ns` on.
+
+    Attributes:
+        order: place in the order of the files; decides between equal times.
+        open: reads it.
+        read_again: reads the same messages once more; None for what holds little at a time by itself.
+    """
+
+    first_ns: int
+    order: tuple[int, ...]
+    open: Callable[[], Run]
+    read_again: Callable[[], Block] | None = None
+
+
+def merge(pieces: Iterable[Piece], tell_late: Callable[[int], None] | None = None) -> Iterator[Block]:
+    """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
+
+    A piece may hold messages that are earlier than its `first_ns`: those that come too late to be in order are left
+    out, and `tell_late` is told of how many so far.
+
+    Raises:
+        TooDisordered: more pieces overlap than even shares of them can be held.
+        SourceError: as the pieces raise it.
+    """
+    merging = _Merging(tell_late)
+    waiting = iter(pieces)
+    upcoming = next(waiting, None)
+    while upcoming is not None:
+        current, upcoming = upcoming, next(waiting, None)
+        merging.add(current)
+        yield from merging.blocks(END_OF_TIME_NS if upcoming is None else upcoming.first_ns)
+
+
+class _Merging:
+    def __init__(self, tell_late: Callable[[int], None] | None) -> None:
+        self._tell_late = tell_late
+        self._late = 0
+        self._runs: list[tuple[Piece, Run]] = []
+        self._latest_ns = 0
+
+    def add(self, piece: Piece) -> None:
+        run = piece.open()
+        self._leave_late(run)
+        self._runs.append((piece, run))
+        if len(self._runs) > 1:
+            self._runs.sort(key=lambda pair: pair[0].order)
+            self._bound()
+
+    def blocks(self, before_ns: int) -> Iterator[Block]:
+        """Yield what is earlier than a time."""
+        while True:
+            alone = len(self._runs) == 1
+            cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
+            parts = [part for _, run in self._runs if (part := run.take(cut))]
+            if parts:
+                self._latest_ns = max(part[-1].log_time_ns for part in parts)
+            if len(parts) == 1:
+                yield parts[0]
+            elif parts:
+                yield sorted((message for part in parts for message in part), key=_log_time)
+            del parts
+            self._runs = [pair for pair in self._runs if not pair[1].ended]
+            waiting = [run for _, run in self._runs if run.ready_ns < before_ns]
+            if not waiting:
+                return
+            for run in waiting:
+                if alone or run.ready_ns <= cut:
+                    run.refill()
+                    self._leave_late(run)
+            self._check()
+
+    def _leave_late(self, run: Run) -> None:
+        late = run.take(self._latest_ns)
+        if late:
+            self._late += len(late)
+            if self._tell_late is not None:
+                self._tell_late(self._late)
+
+    def _bound(self) -> None:
+        if sum(run.held_bytes for _, run in self._runs) <= MAX_HELD:
+            return
+        share = MAX_HELD // (2 * len(self._runs))
+        for piece, run in self._runs:
+            if piece.read_again is not None and run.is_whole and run.held_bytes > share:
+                run.keep_share(share, piece.read_again)
+        self._check()
+
+    def _check(self) -> None:
+        if len(self._runs) > 1 and sum(run.held_bytes for _, run in self._runs) > 2 * MAX_HELD:
+            raise TooDisordered(
+                f"{len(self._runs)} parts of the recording overlap in time, more than can be put in order; "
+                "read one topic, or a shorter time, at once"
+            )
+
+
+def _shares(left: int, share_bytes: int, read_again: Callable[[], Block]) -> Iterator[Block]:
+    """Yield the last `left` messages of a piece in blocks of a share, reading it again for each."""
+    while left:
+        messages = read_again()
+        start = max(0, len(messages) - left)
+        stop, size = start, 0
+        while stop < len(messages) and (stop == start or size < share_bytes):
+            size += len(messages[stop].data) + OVERHEAD_BYTES
+            stop += 1
+        block = messages[start:stop]
+        left = len(messages) - stop
+        del messages
+        yield block
+
+
+def weigh(messages: Block) -> int:
+    """Return about how much memory messages take."""
+    return sum(map(len, map(attrgetter("data"), messages))) + OVERHEAD_BYTES * len(messages)
+
+
+T = TypeVar("T")
+
+
+class Job(NamedTuple, Generic[T]):
+    """Something to do, and the bytes that it will hold."""
+
+    size_bytes: int
+    run: Callable[[], T]
+
+
+def do_ahead(jobs: Iterator[Job[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
+    """Yield what the jobs return, in order; one that raises raises here, in its turn.
+
+    Closed early, it returns at once: jobs that have begun go on to their end, and nobody hears of them.
+    """
+    first = next(jobs, None)
+    if first is None:
+        return
+    keep_freed_memory()
+    yield first.run()
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
+    try:
+        under_way: deque[tuple[int, Future[T]]] = deque()
+        allowance, held = max(1, first.size_bytes), 0
+        upcoming = next(jobs, None)
+        while upcoming is not None or under_way:
+            allowance = min(most_bytes, 2 * allowance)
+            while upcoming is not None and (not under_way or held + upcoming.size_bytes <= allowance):
+                under_way.append((upcoming.size_bytes, pool.submit(upcoming.run)))
+                held += upcoming.size_bytes
+                upcoming = next(jobs, None)
+            size, future = under_way.popleft()
+            result = future.result()
+            held -= size
+            yield result
+    finally:
+        # Nobody waits for the threads here: the garbage collector may close this, in a thread that is being started,
+        # and no thread could end then.
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,207 @@
+"""The worker: one process that runs what the queue holds, and puts back what a dead worker left.
+
+It outlives PostgreSQL: where that goes away, each lane begins anew once it is back.
+"""
+
+import asyncio
+import contextlib
+import datetime
+import logging
+import signal
+import time
+from collections.abc import Iterable
+
+import psycopg
+from procrastinate import App, PsycopgConnector
+from procrastinate.exceptions import ConnectorException
+from procrastinate.jobs import Job as ProcrastinateJob
+from procrastinate.jobs import Status
+
+import kleinkram
+from kleinkram.server.blobs import jobs as _blob_jobs
+from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import Database, open_database
+from kleinkram.server.health.metrics_server import serve_metrics
+from kleinkram.server.health.worker_heartbeat import heartbeat
+from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.failing import Attempts, keep_why
+from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
+from kleinkram.server.recordings import jobs as _recording_jobs
+from kleinkram.server.recordings.rests import Rests
+from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.runs import jobs as _run_jobs
+from kleinkram.server.s3.storage import open_storage
+from kleinkram.server.settings import Settings, plain_dsn
+from kleinkram.server.uploads import jobs as _upload_jobs
+
+_log = logging.getLogger("kleinkram.worker")
+_AT_ONCE = 3
+_STALLED_CHECK_S = 20
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
+# A lane that ran for so long ended for another reason than the last time.
+_STEADY_S = 30.0
+# The database went away, refuses connections, or ended one. psycopg's own errors come from opening the pool.
+_DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
+# Importing a feature's jobs is what makes the queue know them.
+JOB_MODULES = (_blob_jobs, _recording_jobs, _run_jobs, _upload_jobs)
+
+
+async def run_worker(settings: Settings) -> None:
+    """Run jobs until SIGTERM or SIGINT; a job under way is finished first, unless a second signal comes."""
+    task = asyncio.current_task()
+    stopping = asyncio.Event()
+
+    def stop() -> None:
+        # Cancelling alone would not do: where the database is away, its error may take the place of the cancelling.
+        stopping.set()
+        if task is not None:
+            task.cancel()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, stop)
+    with contextlib.suppress(asyncio.CancelledError):
+        await _open_and_run(settings, stopping)
+
+
+async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
+    pauses = _Pauses()
+    while not stopping.is_set():
+        # Without the timeout, a worker that is asked to stop would wait half a minute for a database that is away.
+        connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
+        # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
+        with queue.replace_connector(connector) as app:
+            try:
+                async with app.open_async():
+                    await _run(app, settings)
+            except _DATABASE_AWAY as error:
+                await pauses.wait("the worker", error)
+
+
+class _Pauses:
+    """Ever longer pauses before something begins anew that the database's absence ended."""
+
+    def __init__(self) -> None:
+        self._pause_s = _FIRST_PAUSE_S
+        self._began = time.monotonic()
+
+    async def wait(self, what: str, error: Exception | None) -> None:
+        """Wait before `what` begins anew, and say so in the log."""
+        if time.monotonic() - self._began > _STEADY_S:
+            self._pause_s = _FIRST_PAUSE_S
+        reason = "a connection ended" if error is None else str(error.__cause__ or error).strip()
+        fields = {"reason": reason.partition("\n")[0], "pause_s": self._pause_s}
+        _log.warning(f"the database went away: {what} begins anew after a pause", extra={"fields": fields})
+        await asyncio.sleep(self._pause_s)
+        self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        self._began = time.monotonic()
+
+
+async def _run(app: App, settings: Settings) -> None:
+    database = open_database(settings, statement_timeout_s=None)
+    try:
+        await _run_lanes(app, settings, database)
+    finally:
+        await database.close()
+
+
+async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
+    is_over = asyncio.Event()
+    async with (
+        open_storage(settings) as storage,
+        Readers() as readers,
+        heartbeat(database),
+        serve_metrics(settings, database),
+    ):
+        courtesy = Courtesy(database, settings)
+        attempts = Attempts()
+        given: dict[str, object] = {
+            "site": AppContext(database, storage, settings),
+            "readers": readers,
+            "courtesy": courtesy,
+            "understanding": Understanding(readers),
+            "rests": Rests(),
+            "attempts": attempts,
+        }
+        lanes = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))
+        _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
+        tasks = [
+            *(
+                asyncio.create_task(_keep_working(app, given, is_over, lane=lane, at_once=at_once))
+                for lane, at_once in lanes
+            ),
+            asyncio.create_task(_rescue_stalled(app, attempts)),
+        ]
+        try:
+            # None of them ends by itself: the first that does has failed, and ends the process, which is started anew.
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            is_over.set()
+            courtesy.end()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _keep_working(app: App, given: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int) -> None:
+    """Run the jobs of one lane until all is over; where the database ends that, begin anew."""
+    pauses = _Pauses()
+    while not is_over.is_set():
+        error: Exception | None = None  # where a lane's listener lost its connection, it ends without one
+        try:
+            await _work(app, given, lane=lane, at_once=at_once)
+        except _DATABASE_AWAY as raised:
+            error = raised
+        if not is_over.is_set():
+            await pauses.wait(f"lane {lane}", error)
+
+
+async def _work(app: App, given: dict[str, object], *, lane: str, at_once: int) -> None:
+    await app.run_worker_async(
+        queues=[lane],
+        concurrency=at_once,
+        install_signal_handlers=False,
+        additional_context=given,
+        shutdown_graceful_timeout=20,
+        fetch_job_polling_interval=2,
+        update_heartbeat_interval=5,
+        stalled_worker_timeout=20,
+        delete_jobs="successful",
+        worker_middleware=[keep_why],
+    )
+
+
+async def _rescue_stalled(app: App, attempts: Attempts) -> None:
+    """Put back jobs whose worker died, and those of this worker whose end the database could not be told."""
+    abandoned: set[int | None] = set()
+    while True:
+        try:
+            stalled = [*await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=_STALLED_CHECK_S)]
+            ours = [*await _abandoned(app, attempts)]
+            for job in [*stalled, *(job for job in ours if job.id in abandoned)]:
+                await _rescue(app, job)
+            # Twice in a row: one that has just ended is about to be written down.
+            abandoned = {job.id for job in ours}
+        except _DATABASE_AWAY as error:  # the next round finds the same jobs
+            _log.warning("stalled jobs not looked at", extra={"fields": {"reason": str(error)}})
+        await asyncio.sleep(_STALLED_CHECK_S)
+
+
+async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]:
+    """Return jobs that the queue takes to be run by this process, and that it does not run."""
+    doing = await app.job_manager.list_jobs_async(status=Status.DOING.value)
+    return [job for job in doing if job.worker_id in attempts.lanes and job.id not in attempts.running]
+
+
+async def _rescue(app: App, job: ProcrastinateJob) -> None:
+    """Put one job back; a periodic one is closed instead, since its next round waits already."""
+    _log.warning("job was left unfinished: it is done again", extra={"fields": {"job": job.task_name, "id": job.id}})
+    try:
+        if job.queueing_lock is not None:
+            await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
+        else:
+            await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
+    except ConnectorException as error:  # taken up by another worker meanwhile, or to be seen in the next round
+        _log.warning("job not put back", extra={"fields": {"id": job.id, "reason": str(error)}})

@@ -1,0 +1,177 @@
+"""The API as it runs, on real PostgreSQL and real S3, and what tests need to talk to it and to look behind it."""
+
+import json
+import secrets
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+import psycopg
+import urllib3
+import uvicorn
+from fastapi import FastAPI
+from sqlalchemy import event
+
+from kleinkram.server.app import create_app
+from kleinkram.server.http.web_server import ApiServer
+from kleinkram.server.settings import Settings
+from tests.integration.openapi_check import assert_is_described
+
+Query = Sequence[tuple[str, str]] | Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the API answered; `body` is the parsed JSON, or a text that is none, or None where there is nothing."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: Any
+
+    def ok(self, status: int = 200) -> Any:
+        """Return the body of an answer that must have gone well."""
+        assert self.status == status, f"{self.status}: {self.body}"
+        return self.body
+
+    def refused(self, status: int, code: str) -> Any:
+        """Return the problem document of an answer that must be this failure."""
+        assert (self.status, self.body.get("code")) == (status, code), f"{self.status}: {self.body}"
+        assert self.headers["content-type"] == "application/problem+json"
+        return self.body
+
+
+@dataclass
+class Api:
+    """A running API with a database of its own, the token of who asks (at first its owner), and a way in behind it."""
+
+    url: str
+    token: str | None
+    app: FastAPI
+    database: psycopg.Connection[tuple[Any, ...]]
+    _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
+
+    def as_(self, token: str | None) -> "Api":
+        """Return the same API asked by whoever carries this token or link, or by nobody in particular."""
+        return replace(self, token=token)
+
+    def call(
+        self,
+        method: str,
+        path: str,
+        body: object = None,
+        query: Query = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> Answer:
+        """Make one request to `/api/v1{path}`, as the carrier of the token unless `headers` say otherwise."""
+        sent = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+        sent |= headers or {}
+        data = None
+        if body is not None:
+            sent["Content-Type"] = "application/json"
+            data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        pairs = list(query.items()) if isinstance(query, Mapping) else list(query)
+        address = f"{self.url}/api/v1{path}" + (f"?{urlencode(pairs)}" if pairs else "")
+        answer = self._pool.request(method, address, body=data, headers=sent)
+        is_text = answer.headers.get("content-type", "").startswith(("text/", "application/jsonl"))
+        parsed = answer.data.decode() if is_text else json.loads(answer.data) if answer.data else None
+        result = Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
+        assert_is_described(method, f"/api/v1{path}", result.status, result.body)
+        return result
+
+    def get(self, path: str, query: Query = ()) -> Answer:
+        """GET."""
+        return self.call("GET", path, query=query)
+
+    def post(self, path: str, body: object = None) -> Answer:
+        """POST."""
+        return self.call("POST", path, body)
+
+    def patch(self, path: str, body: object) -> Answer:
+        """PATCH."""
+        return self.call("PATCH", path, body)
+
+    def delete(self, path: str, query: Query = ()) -> Answer:
+        """DELETE."""
+        return self.call("DELETE", path, query=query)
+
+    def all(self, path: str, query: Mapping[str, str] | None = None) -> list[Any]:
+        """Return the items of all pages of a list."""
+        items: list[Any] = []
+        cursor: dict[str, str] = {}
+        while True:
+            page = self.get(path, {**(query or {}), **cursor}).ok()
+            items += page["items"]
+            if page["next"] is None:
+                return items
+            cursor = {"cursor": page["next"]}
+
+    def project(self, **fields: Any) -> Any:
+        """Make a project, of any name unless one is given."""
+        return self.post("/projects", {"name": f"project {uuid.uuid4().hex[:12]}", **fields}).ok(201)
+
+    def mission(self, project_id: str, **fields: Any) -> Any:
+        """Make a mission, of any name unless one is given."""
+        body = {"name": f"mission {uuid.uuid4().hex[:12]}", **fields}
+        return self.post(f"/projects/{project_id}/missions", body).ok(201)
+
+    def sql(self, statement: str, *values: Any) -> list[tuple[Any, ...]]:
+        """Run one statement behind the API's back, and return its rows where it has any."""
+        cursor = self.database.execute(statement, values)
+        return cursor.fetchall() if cursor.description else []
+
+    def metrics(self) -> str:
+        """Return what Prometheus would read."""
+        return self._pool.request("GET", f"http://127.0.0.1:{self.app.state.metrics_port}/metrics").data.decode()
+
+    def events(self, noun_id: str) -> list[Any]:
+        """Return what the record says of a noun, latest first."""
+        return self.all("/audit", {"noun_id": noun_id})
+
+    @contextmanager
+    def statements(self) -> Iterator[list[str]]:
+        """Collect the SQL statements that the API runs meanwhile."""
+        engine = self.app.state.database.engine.sync_engine
+        seen: list[str] = []
+
+        def note(_connection: object, _cursor: object, statement: str, *_rest: object) -> None:
+            seen.append(statement)
+
+        event.listen(engine, "before_cursor_execute", note)
+        try:
+            yield seen
+        finally:
+            event.remove(engine, "before_cursor_execute", note)
+
+
+@contextmanager
+def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: int = 0) -> Iterator[Api]:
+    """Serve the API from a thread, on a free port of this machine unless one is given."""
+    token = secrets.token_hex(32)
+    token_file = folder / f"token-{uuid.uuid4()}"
+    token_file.write_text(token)
+    app = create_app(Settings(**settings, owner_token_file=token_file))
+    listener = socket.create_server(("127.0.0.1", port))
+    config = uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
+    server = ApiServer(config, app)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="api")
+    thread.start()
+    database = psycopg.connect(admin_url, autocommit=True)
+    try:
+        deadline = time.monotonic() + 30
+        while not server.started:
+            assert thread.is_alive(), "the API did not start; the log says why"
+            assert time.monotonic() < deadline, "the API took too long to start"
+            thread.join(0.01)
+        yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, database)
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        listener.close()
+        database.close()

@@ -1,0 +1,127 @@
+"""System packages that tests need. Without them a test is skipped with a reason; if all are required, it fails.
+
+`python -m tests.requirements` lists what the slow tests need and this machine lacks. With KLEINKRAM_TEST_INSTALL=1 it
+installs them before any test runs, because two test processes cannot install at the same time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+import platformdirs
+import pytest
+
+# What tests run, and the Debian package that has it.
+PROGRAMS = {
+    "dockerd": "docker.io",
+    "containerd": "docker.io",
+    "docker": "docker.io",
+    "docker-registry": "docker-registry",
+    "podman": "podman",
+    "crun": "crun",
+    "catatonit": "catatonit",
+    "iptables": "iptables",
+    "ip": "iproute2",
+    "chromium": "chromium",
+    "debootstrap": "debootstrap",
+    "node": "nodejs npm",
+}
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
+_NO_SERVICES = Path("/usr/sbin/policy-rc.d")
+
+
+def missing(what: str) -> NoReturn:
+    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
+    if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
+        pytest.fail(what)
+    pytest.skip(what)
+
+
+def path_of(program: str) -> str | None:
+    """Return where a program is, also one that is for root alone."""
+    places = os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin"
+    names = _BROWSERS if program == "chromium" else (program,)
+    return next((path for name in names if (path := shutil.which(name, path=places))), None)
+
+
+def need(*programs: str) -> None:
+    """Skip, or fail where all is required, unless these programs are installed."""
+    if lacking := [program for program in programs if path_of(program) is None]:
+        packages = sorted({PROGRAMS[program] for program in lacking})
+        missing(f"not installed: {', '.join(lacking)} (Debian: {' '.join(packages)}; {_HOW})")
+
+
+def need_node() -> Path:
+    """Return the folder with the Node programs of `tests/system/oidc` and what they stand on, or skip."""
+    if not (_node_folder() / "ready").exists():
+        missing(f"oidc-provider and playwright-core are not installed; {_HOW}")
+    return _node_folder()
+
+
+_HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
+
+
+def _node_folder() -> Path:
+    mark = hashlib.sha256(b"".join(path.read_bytes() for path in _node_sources())).hexdigest()[:16]
+    return platformdirs.user_cache_path("kleinkram-tests") / f"oidc-{mark}"
+
+
+def _node_sources() -> list[Path]:
+    return sorted(path for path in _NODE_SOURCES.iterdir() if path.suffix in {".json", ".mjs"} or path.name == ".npmrc")
+
+
+def _install_packages(packages: list[str]) -> None:
+    """Install Debian packages. Nothing of them is started: tests run their own, with folders of their own."""
+    command = ["apt-get", "-o", "DPkg::Lock::Timeout=300", "install", "-y", "--no-install-recommends", *packages]
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    is_mine = not _NO_SERVICES.exists()
+    if is_mine:
+        _NO_SERVICES.write_text("#!/bin/sh\nexit 101\n")
+        _NO_SERVICES.chmod(0o755)
+    try:
+        quietly = {"env": environment, "stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+        if subprocess.run(command, check=False, **quietly).returncode != 0:  # type: ignore[call-overload]
+            subprocess.run(["apt-get", "update", "-q"], check=True, **quietly)  # type: ignore[call-overload]
+            subprocess.run(command, check=True, **quietly)  # type: ignore[call-overload]
+    finally:
+        if is_mine:
+            _NO_SERVICES.unlink()
+
+
+def _install_node_programs() -> None:
+    folder = _node_folder()
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for path in _node_sources():
+        shutil.copy(path, folder)
+    subprocess.run(["npm", "ci", "--ignore-scripts", "--silent"], cwd=folder, check=True, stdin=subprocess.DEVNULL)
+    (folder / "ready").touch()
+
+
+def main() -> None:
+    """Tell what is not there, and install it where the caller asks for that."""
+    packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
+    lacks_node = not (_node_folder() / "ready").exists()
+    if not packages and not lacks_node:
+        return
+    what = " ".join([*packages, *(["oidc-provider and playwright-core (npm)"] if lacks_node else [])])
+    if os.environ.get("KLEINKRAM_TEST_INSTALL") != "1":
+        sys.stdout.write(f"tests will miss: {what}. {_HOW}\n")
+        return
+    sys.stdout.write(f"tests need, installing: {what}\n")
+    sys.stdout.flush()
+    if packages:
+        _install_packages(packages)
+    if lacks_node and shutil.which("npm") is not None:
+        _install_node_programs()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""A private PostgreSQL and a private S3 store for a test session: real ones, started once, gone at its end.
+
+Use with `pytest_plugins = ["tests.services"]`, or `-p tests.services`. Both die with pytest, however it dies.
+"""
+
+import itertools
+import os
+import secrets
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from kleinkram.standalone import binaries, child, postgres, s3, store
+from tests.ports import choose_port
+
+_numbers = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class RunningPostgres:
+    """A PostgreSQL with the two roles; every test may have databases of its own."""
+
+    cluster: postgres.PostgresCluster
+
+    @property
+    def admin_url(self) -> str:
+        """Superuser on the maintenance database."""
+        return self.cluster.url(postgres.ADMIN, "postgres")
+
+    def migrate_url(self, database: str) -> str:
+        """The role that owns the schema."""
+        return self.cluster.url(postgres.MIGRATE, database)
+
+    def serve_url(self, database: str) -> str:
+        """The role that the API and the worker use."""
+        return self.cluster.url(postgres.SERVE, database)
+
+    def create_database(self, *, template: str = "template0") -> str:
+        """A new database, a copy of `template` (which nobody may be connected to); about 30 ms. Returns its name."""
+        name = f"test_{os.getpid()}_{next(_numbers)}"
+        self.sql(f"CREATE DATABASE {name} OWNER {postgres.MIGRATE} TEMPLATE {template} STRATEGY FILE_COPY")
+        if template == "template0":
+            self.sql(
+                f"ALTER SCHEMA public OWNER TO {postgres.MIGRATE}; GRANT USAGE ON SCHEMA public TO {postgres.SERVE}",
+                database=name,
+            )
+        return name
+
+    def drop_database(self, name: str) -> None:
+        """Remove a database, ending whoever is connected."""
+        self.sql(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+
+    def sql(self, script: str, *, database: str = "postgres") -> str:
+        """Run statements as superuser; returns unaligned tuples."""
+        return postgres.run_sql(self.cluster, script, database=database)
+
+
+@dataclass(frozen=True)
+class RunningStore:
+    """An S3 store with one identity that may do everything."""
+
+    endpoint: str
+    access_key: str
+    secret_key: str
+    region: str
+    folder: Path = field(repr=False)
+
+    @property
+    def access(self) -> s3.StoreAccess:
+        """The same for `kleinkram.standalone.s3`."""
+        return s3.StoreAccess(self.endpoint, self.access_key, self.secret_key, self.region)
+
+    def create_bucket(self) -> str:
+        """A new, empty bucket; returns its name."""
+        name = f"test-{os.getpid()}-{next(_numbers)}"
+        assert s3.create_bucket(self.access, name)
+        return name
+
+
+@pytest.fixture(scope="session", name="postgres")
+def _postgres() -> Iterator[RunningPostgres]:
+    """The session's PostgreSQL."""
+    with tempfile.TemporaryDirectory(prefix="klein-pg-") as name:
+        folder = Path(name)
+        cluster = postgres.PostgresCluster(
+            binaries=binaries.locate_postgres(),
+            data_dir=folder,
+            folder=folder / "postgres",
+            log=folder / "postgres.log",
+            port=choose_port(),
+            passwords=postgres.PostgresPasswords(*(secrets.token_hex(16) for _ in range(3))),
+        )
+        postgres.initialise(cluster)
+        # What is lost by a crash of the machine is only a test's.
+        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "400"})
+        try:
+            _wait_until(lambda: postgres.is_ready(cluster, process), process, cluster.log)
+            postgres.prepare_database(cluster)
+            yield RunningPostgres(cluster)
+        finally:
+            child.stop(process, sign=postgres.STOP_SIGNAL, timeout_s=10)
+
+
+@pytest.fixture(scope="session", name="store")
+def _store() -> Iterator[RunningStore]:
+    """The session's S3 store."""
+    with tempfile.TemporaryDirectory(prefix="klein-s3-") as name:
+        folder = Path(name)
+        plan = store.StoreFolder(
+            program=binaries.locate_weed(),
+            data_dir=folder,
+            folder=folder,
+            log=folder / "store.log",
+            ports={name: choose_port() for name in store.PORT_NAMES},
+            access_key=secrets.token_hex(10),
+            secret_key=secrets.token_hex(20),
+        )
+        # Each bucket takes a volume at least, and weed counts as many as would fit on the disk when full.
+        process = store.start(plan, extra=["-master.volumeSizeLimitMB=64"])
+        try:
+            _wait_until(lambda: s3.proves_ready(plan.access, store.BUCKET), process, plan.log)
+            access = plan.access
+            yield RunningStore(access.endpoint, access.access_key, access.secret_key, access.region, folder)
+        finally:
+            # Nothing of it is needed again: no reason to wait the two seconds of its orderly end.
+            child.stop(process, sign=signal.SIGKILL, timeout_s=10)
+
+
+def _wait_until(ready: Callable[[], bool], process: "subprocess.Popen[bytes]", log: Path) -> None:
+    deadline = time.monotonic() + 60
+    while not ready():
+        if process.poll() is not None or time.monotonic() > deadline:
+            pytest.fail(f"did not become ready (exit code {process.returncode}):\n{log.read_text()[-3000:]}")
+        time.sleep(0.02)
