@@ -175,7 +175,7 @@ def _unavailable(settings: Settings, question: _Question) -> str:
 
 @pytest.mark.parametrize("question", _REQUESTS)
 @pytest.mark.parametrize("body", [b"", b"<html>sign in<br>", b"<html xmlns='http://www.w3.org/1999/xhtml'/>"])
-def test_a_page_that_is_no_stores_word_is_neither_a_list_nor_a_success(question: _Question, body: bytes) -> None:
+def test_a_proxys_page_is_neither_a_listing_nor_a_success(question: _Question, body: bytes) -> None:
     with _store([ScriptedReply(200, body)]) as (settings, _):
         assert "NotAStore" in _unavailable(settings, question)
 
@@ -187,10 +187,10 @@ def test_a_multipart_upload_without_an_id_is_none() -> None:
 
 @pytest.mark.parametrize("question", _LISTS)
 @pytest.mark.parametrize("next_page", [b"", b"<%b>5</%b>"])
-def test_a_list_that_does_not_go_on_is_not_read_for_ever(question: _Question, next_page: bytes) -> None:
+def test_a_listing_without_a_next_page_ends(question: _Question, next_page: bytes) -> None:
     named = b"".join(next_page.replace(b"%b", name) for name in (b"NextPartNumberMarker", b"NextContinuationToken"))
     with _store([ScriptedReply(200, b"<R><IsTruncated>true</IsTruncated>" + named + b"</R>")]) as (settings, _):
-        assert "goes on" in _unavailable(settings, question)
+        assert "where it continues" in _unavailable(settings, question)
 
 
 def test_a_stores_name_in_capitals_is_signed_as_it_is_sent(api: Api) -> None:
