@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.formats.base import sniff
+    from kleinkram.recordings.formats.registry import sniff
     from kleinkram.recordings.formats.rosbag2.metadata import (
         MemberFacts,
         Rosbag2Metadata,
@@ -139,7 +139,7 @@ _HOMES = {
         "compare_metadata",
         "parse_rosbag2_metadata",
     ),
-    "formats.base": ("sniff",),
+    "formats.registry": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for
+from kleinkram.recordings.formats.ulog import as_ros1_definition
 from kleinkram.recordings.member import Contents
 from kleinkram.recordings.messages import Block, Channel, Message, Schema, Topic
 
@@ -29,10 +30,16 @@ def decode_blocks(blocks: Iterable[Block], noticed: Noticed) -> Iterator[Message
             yield new(Message, (topic, log_ns, publish_ns, sequence, value, channel))
 
 
+def decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+    """Return what decodes messages, or why nothing does."""
+    if (message_encoding, schema.encoding) == ("ulog", "ulog"):
+        return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
+    return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
+
+
 def find_decoder(channel: Channel) -> Decoder | None:
     """Return what decodes a channel's messages; None where nothing does."""
-    schema = channel.schema
-    found = decoder_for(channel.message_encoding, schema.name, schema.encoding, schema.data)
+    found = decoder_of(channel.message_encoding, channel.schema)
     return found if isinstance(found, Decoder) else None
 
 
@@ -61,7 +68,7 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
         return False
     if one == other:
         return True
-    decoders = [decoder_for(one_encoding, schema.name, schema.encoding, schema.data) for schema in (one, other)]
+    decoders = [decoder_of(one_encoding, schema) for schema in (one, other)]
     layouts = [decoder.layout for decoder in decoders if isinstance(decoder, Decoder)]
     return len(layouts) == 2 and layouts[0] == layouts[1]
 
@@ -101,6 +108,5 @@ def _topic(channel: Channel, count: int | None) -> Topic:
 
 def undecodable(channel: Channel) -> str | None:
     """Return why messages of a channel stay bytes; None where they can be decoded."""
-    schema = channel.schema
-    decoder = decoder_for(channel.message_encoding, schema.name, schema.encoding, schema.data)
+    decoder = decoder_of(channel.message_encoding, channel.schema)
     return decoder.reason if isinstance(decoder, Undecodable) else None

@@ -30,7 +30,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import MAX_TEXT, Rosbag2Metad
 
 METADATA_NAME = "metadata.yaml"
 # `.active`: a bag whose recorder was killed, or is still at work.
-_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
+_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2|ulg)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
 _ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
 _TIMED_ROSBAG2 = re.compile(
     r"(?P<folder>(.*/)?)(?P<number>\d+)_(?P<name>[^/]+)_(?P<time>\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d)"

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import Noticed
-from kleinkram.recordings.decoded_messages import Notice, decode_blocks, list_topics, timed
-from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, decoder_for, to_arrow, to_pandas
+from kleinkram.recordings.decoded_messages import Notice, decode_blocks, decoder_of, list_topics, timed
+from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
 from kleinkram.recordings.member import Member
 from kleinkram.recordings.merge import TooDisordered, merge
@@ -275,7 +275,7 @@ class Recording:
         topic = self.topic(name)
         schema = topic.schema
         selection = Selection(frozenset((name,)), *_span(start, end))
-        decoder = decoder_for(topic.message_encoding, schema.name, schema.encoding, schema.data)
+        decoder = decoder_of(topic.message_encoding, schema)
         return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._noticed)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
-from kleinkram.recordings.formats.base import (
-    HEAD_BYTES,
-    LONG_HEAD_BYTES,
-    RECORDINGS,
-    extension_lies,
-    is_database,
-    sniff,
-    sniff_head,
-    sniff_inside_zstd,
-)
-from kleinkram.recordings.formats.describe import DESCRIBED, MAX_DESCRIBED_BYTES, describe
-from kleinkram.recordings.formats.mcap.format import scan_mcap, summarise_mcap
-from kleinkram.recordings.formats.rosbag1.format import scan_bag, summarise_bag
+from kleinkram.recordings.formats.base import HEAD_BYTES, LONG_HEAD_BYTES, Format
+from kleinkram.recordings.formats.registry import format_of, format_of_head, misleading_extension
+from kleinkram.recordings.formats.rosbag2.database import is_database
 from kleinkram.recordings.formats.rosbag2.db3 import scan_copy, scan_db3
-from kleinkram.recordings.formats.svo2 import as_svo2
-from kleinkram.recordings.formats.zstd_file import scan_zstd_file
-from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.limits import MAX_DESCRIBED_BYTES, MAX_SCAN_BYTES
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import CountingSource, FileSource, Forward, Source, SourceForward, from_source, peek
+from kleinkram.recordings.sources import CountingSource, Forward, Source, SourceForward, from_source, peek
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
-from kleinkram.recordings.topic_statistics import bounded, pending
+from kleinkram.recordings.topic_statistics import bounded
 
 
 def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
@@ -40,19 +28,19 @@ def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> Rec
         SourceError: the bytes cannot be read.
     """
     counting = CountingSource(source)
-    kind = sniff(counting)
+    found = format_of(counting)
     most = source.size_bytes if most_bytes is None else most_bytes
-    if kind is RecordingFormat.mcap:
-        summary = summarise_mcap(counting, most_bytes=most)
-    elif kind is RecordingFormat.svo2:
-        summary = as_svo2(summarise_mcap(counting, most_bytes=most))
-    elif kind is RecordingFormat.rosbag1:
-        summary = summarise_bag(counting, most_bytes=most)
-    elif kind in _WITHOUT_INDEX:
-        summary = _without_index(source, counting, kind, most)
+    if found.summarise is not None:
+        summary = found.summarise(counting, most_bytes=most)
+    elif found.scan is None:
+        summary = RecordingSummary(found.kind, Content.opaque, found.description)
+    elif source.size_bytes <= min(most, MAX_DESCRIBED_BYTES):
+        summary = found.scan(from_source(counting))
     else:
-        summary = describe(kind, from_source(counting), most_bytes=min(most, MAX_DESCRIBED_BYTES))
-    return replace(_named(summary, source.name, kind), bytes_read=max(counting.bytes_read, summary.bytes_read))
+        cost = f"it must be read whole ({source.size_bytes} bytes) to say more"
+        summary = RecordingSummary(found.kind, Content.opaque, f"{found.description}; {cost}")
+    bytes_read = max(counting.bytes_read, summary.bytes_read)
+    return replace(_with_extension_problem(summary, source.name, found), bytes_read=bytes_read)
 
 
 def scan(forward: Forward) -> RecordingSummary:
@@ -63,11 +51,13 @@ def scan(forward: Forward) -> RecordingSummary:
         SourceError: the bytes cannot be read.
     """
     head, forward = peek(forward, LONG_HEAD_BYTES)
-    kind = sniff_head(head, path=forward.path) if head else RecordingFormat.empty
-    summary = _SCANS[kind](forward) if kind in _SCANS else describe(kind, forward, most_bytes=None)
-    summary = replace(_named(summary, forward.name, kind), depth=Depth.scan)
-    is_read = kind in _SCANS or kind in DESCRIBED
-    return replace(summary, bytes_read=max(summary.bytes_read, forward.size_bytes if is_read else len(head)))
+    found = format_of_head(head, path=forward.path)
+    if found.scan is None:
+        summary, bytes_read = RecordingSummary(found.kind, Content.opaque, found.description), len(head)
+    else:
+        summary, bytes_read = found.scan(forward), forward.size_bytes
+    summary = replace(_with_extension_problem(summary, forward.name, found), depth=Depth.scan)
+    return replace(summary, bytes_read=max(summary.bytes_read, bytes_read))
 
 
 def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSummary:
@@ -89,38 +79,6 @@ def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSumma
     return replace(summary, bytes_read=source.size_bytes + sum(log.size_bytes for log in logs.values()))
 
 
-def _without_index(source: Source, counting: Source, kind: RecordingFormat, most_bytes: int) -> RecordingSummary:
-    if source.size_bytes > most_bytes:
-        if kind is RecordingFormat.zstd and (inside := sniff_inside_zstd(counting)) not in RECORDINGS:
-            return RecordingSummary(kind, Content.opaque, f"compressed as a whole; inside is {inside.value}")
-        return pending(kind, source.size_bytes, _WITHOUT_INDEX[kind])
-    # A database that is a local file is read in place.
-    forward = from_source(source if isinstance(source, FileSource) else counting)
-    return scan_db3(forward, depth=Depth.summary) if kind is RecordingFormat.rosbag2_db3 else _unpack(forward)
-
-
-def _unpack(forward: Forward) -> RecordingSummary:
-    return scan_zstd_file(forward, scan)
-
-
-def _scan_svo2(forward: Forward) -> RecordingSummary:
-    return as_svo2(scan_mcap(forward))
-
-
-def _named(summary: RecordingSummary, name: str, kind: RecordingFormat) -> RecordingSummary:
-    """Add whether the file's name tells the truth."""
-    lie = extension_lies(name, kind)
-    return replace(summary, problems=bounded([lie, *summary.problems])) if lie else summary
-
-
-_WITHOUT_INDEX = {
-    RecordingFormat.rosbag2_db3: "a rosbag2 database (db3) has no index of its messages",
-    RecordingFormat.zstd: "it is compressed as a whole",
-}
-_SCANS: dict[RecordingFormat, Callable[[Forward], RecordingSummary]] = {
-    RecordingFormat.mcap: scan_mcap,
-    RecordingFormat.svo2: _scan_svo2,
-    RecordingFormat.rosbag1: scan_bag,
-    RecordingFormat.rosbag2_db3: scan_db3,
-    RecordingFormat.zstd: _unpack,
-}
+def _with_extension_problem(summary: RecordingSummary, name: str, found: Format) -> RecordingSummary:
+    problem = misleading_extension(name, found)
+    return replace(summary, problems=bounded([problem, *summary.problems])) if problem else summary

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from math import hypot, isfinite
 
-from kleinkram.recordings.formats.documents import read_lines
+from kleinkram.recordings.formats.documents import read_lines, text_format
 from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import Forward
 
@@ -279,3 +279,25 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+_NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
+TUM = text_format(
+    RecordingFormat.tum,
+    _REASONS[RecordingFormat.tum],
+    lambda forward: describe_trajectory(RecordingFormat.tum, forward),
+    f"it is a trajectory (TUM), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+KITTI = text_format(
+    RecordingFormat.kitti,
+    _REASONS[RecordingFormat.kitti],
+    lambda forward: describe_trajectory(RecordingFormat.kitti, forward),
+    f"it is a trajectory (KITTI), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+CSV = text_format(
+    RecordingFormat.csv,
+    "a table (CSV), not a recording",
+    describe_table,
+    f"it is a table (CSV), {_NO_MESSAGES} columns, rows and poses, and `pandas.read_csv` for the rows",
+)

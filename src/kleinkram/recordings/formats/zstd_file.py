@@ -14,12 +14,15 @@ from pathlib import PurePosixPath
 
 import zstandard
 
-from kleinkram.recordings.compression import ZstdFrames
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, RECORDINGS, sniff_head
+from kleinkram.recordings.compression import ZstdFrames, open_decompressed
+from kleinkram.recordings.errors import Malformed, NotARecording
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, OpenContext, RecordingFile
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.member import Member, check_cost
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, Forward, SourceForward
+from kleinkram.recordings.sources import FileSource, Forward, Source, SourceForward, from_source
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
+from kleinkram.recordings.topic_statistics import pending
 
 FILE_ZSTD = "file-zstd"
 """What `compression` says of a file that is compressed as a whole."""
@@ -96,10 +99,13 @@ def scan_zstd_file(forward: Forward, scan: Scan, *, most_bytes: int = MAX_SPOOL_
     Raises:
         SourceError: as `Forward.read`, or the unpacked copy cannot be written.
     """
+    from kleinkram.recordings.formats import registry  # which imports this module
+
     unpacking = _Unpacking(forward)
     most_bytes = min(most_bytes, FREE_UNPACKED + MAX_EXPANSION * forward.size_bytes)
-    kind = sniff_head(unpacking.peek(LONG_HEAD_BYTES))
-    if kind not in RECORDINGS:
+    inner_format = registry.format_of_head(unpacking.peek(LONG_HEAD_BYTES))
+    kind = inner_format.kind
+    if not is_recording(inner_format):
         return _not_a_recording(kind, unpacking)
     try:
         with temporary_copy(unpacking.read, most_bytes=most_bytes) as path, FileSource(path) as source:
@@ -124,3 +130,75 @@ def _with_fault(summary: RecordingSummary, unpacking: _Unpacking) -> RecordingSu
     inside = f"; inside: {summary.reason}" if summary.reason else ""
     content = Content.recovered if summary.content is Content.indexed else summary.content
     return replace(summary, content=content, reason=f"{unpacking.fault}{inside}", lost=summary.lost or Lost(0, 0, None))
+
+
+def is_recording(found: Format) -> bool:
+    """Say whether files of a format hold messages."""
+    return found.open is not None or found.kind is RecordingFormat.svo2
+
+
+def _scan(forward: Forward) -> RecordingSummary:
+    from kleinkram.recordings.summary import scan  # which imports this module
+
+    return scan_zstd_file(forward, scan)
+
+
+def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+    if source.size_bytes <= most_bytes:
+        return _scan(from_source(source))
+    inside = _format_inside(source)
+    if inside is not None and is_recording(inside):
+        return pending(RecordingFormat.zstd, source.size_bytes, "it is compressed as a whole")
+    kind = RecordingFormat.unknown if inside is None else inside.kind
+    return RecordingSummary(RecordingFormat.zstd, Content.opaque, f"compressed as a whole; inside is {kind.value}")
+
+
+def _format_inside(source: Source) -> Format | None:
+    """Return the format of what is inside; None if its beginning cannot be decompressed."""
+    from kleinkram.recordings.formats import registry  # which imports this module
+
+    compressed = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+    try:
+        with decompressor.stream_reader(compressed) as reader:
+            return registry.format_of_head(reader.read(LONG_HEAD_BYTES))
+    except zstandard.ZstdError:
+        return None
+
+
+def _open(file: RecordingFile, context: OpenContext) -> Member:
+    """Decompress a file to a temporary one, up to its end or to where it is damaged, and open that."""
+    from kleinkram.recordings.formats import registry  # which imports this module
+
+    source = file.source
+    check_cost(source, context.limit_of(source), "it is compressed as a whole")
+    content = open_decompressed("zstd", SourceForward(source).read, MAX_SPOOL_BYTES)
+
+    def read(most: int) -> bytes:
+        try:
+            return content.take_some(most)
+        except Malformed as error:
+            context.noticed.add("damaged", source.name, f"reading ends here: {error.message}")
+            return b""
+
+    path = context.copy(read, source.name)
+    unpacked = context.stack.enter_context(FileSource(path))
+    unpacked.name = PurePosixPath(source.name).stem
+    inside = registry.format_of(unpacked)
+    if inside is ZSTD:
+        raise NotARecording(source.name, "it is compressed more than once")
+    if inside.open is None:
+        raise NotARecording(unpacked.name, inside.refusal)
+    file.unpacked = RecordingFile(unpacked, path)
+    return inside.open(file.unpacked, context)
+
+
+ZSTD = Format(
+    RecordingFormat.zstd,
+    lambda head: head.data.startswith(b"\x28\xb5\x2f\xfd"),
+    "compressed as a whole (zstd)",
+    extensions=(".zstd", ".zst"),
+    scan=_scan,
+    summarise=_summarise,
+    open=_open,
+)

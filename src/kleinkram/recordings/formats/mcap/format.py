@@ -10,6 +10,7 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Ga
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import Losses, Noticed
 from kleinkram.recordings.errors import NotIndexed
+from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
 from kleinkram.recordings.formats.mcap import chunks, records
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.formats.mcap.records import ChannelRecord, McapFacts
@@ -179,19 +180,18 @@ def _topic_types(facts: McapFacts) -> Mapping[str, list[TopicType]]:
     return types
 
 
-def open_mcap(
-    source: Source, noticed: Noticed, *, message_compression: str = "", most_bytes: int | None = None
-) -> ChunkedMember:
+def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     """Open an MCAP by its index; one without is scanned once, and what is broken in it is noted.
 
     Raises:
-        TooCostly: it would have to be read whole, and has more than `most_bytes`.
+        TooCostly: it would have to be read whole, and has more bytes than may be read.
         SourceError: as `Source.read`.
     """
+    source, noticed, message_compression = file.source, context.noticed, context.message_compression
     try:
         facts = read_index(source)
     except NotIndexed as refusal:
-        check_cost(source, most_bytes, str(refusal))
+        check_cost(source, context.limit_of(source), str(refusal))
         if refusal.is_problem or refusal.code == "no-footer":
             noticed.add(refusal.code, source.name, str(refusal))
         return _open_scanned(source, noticed, message_compression)
@@ -200,12 +200,12 @@ def open_mcap(
     if statistics is None or facts.unknown_compression:
         # The statistics also count messages that cannot be read.
         contents = Contents(channels, None, None, *facts.table.span(without=facts.unknown_compression.keys()))
-        return ChunkedMember(source, MCAP, facts.table, contents, noticed, with_index_check=True)
+        return ChunkedMember(source, MCAP_CHUNKS, facts.table, contents, noticed, with_index_check=True)
     by_channel = dict(statistics.counts)
     counts = by_channel if sum(by_channel.values()) == statistics.messages else None
     span = (statistics.start_ns, statistics.end_ns) if statistics.messages else (None, None)
     contents = Contents(channels, counts, statistics.messages, *span)
-    return ChunkedMember(source, MCAP, facts.table, contents, noticed, with_index_check=True, claimed_span=span)
+    return ChunkedMember(source, MCAP_CHUNKS, facts.table, contents, noticed, with_index_check=True, claimed_span=span)
 
 
 def _open_scanned(source: Source, noticed: Noticed, message_compression: str) -> ChunkedMember:
@@ -216,7 +216,9 @@ def _open_scanned(source: Source, noticed: Noticed, message_compression: str) ->
     counts = {number: count for number, count in builder.counts.items() if number in channels}
     span = builder.table.span() if counts else (None, None)
     contents = Contents(channels, counts, sum(counts.values()), *span)
-    return ChunkedMember(source, MCAP, builder.table, contents, noticed, summary=summarise_scan(scan, source.name))
+    return ChunkedMember(
+        source, MCAP_CHUNKS, builder.table, contents, noticed, summary=summarise_scan(scan, source.name)
+    )
 
 
 def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
@@ -228,4 +230,13 @@ def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel
     return Saved(part, builder.table)
 
 
-MCAP = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+MCAP_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+MCAP = Format(
+    RecordingFormat.mcap,
+    lambda head: head.data.startswith(records.MAGIC),
+    "a recording (MCAP)",
+    extensions=(".mcap", ".svo2"),
+    scan=scan_mcap,
+    summarise=summarise_mcap,
+    open=open_mcap,
+)

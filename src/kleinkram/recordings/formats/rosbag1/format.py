@@ -9,6 +9,7 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Ga
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import Losses, Noticed
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.index import read_index, read_index_data
 from kleinkram.recordings.formats.rosbag1.records import Connection
@@ -129,22 +130,23 @@ def _summary(
     )
 
 
-def open_bag(source: Source, noticed: Noticed, *, most_bytes: int | None = None) -> ChunkedMember:
+def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     """Open a bag by its index; one without is scanned once, and what is broken in it is noted.
 
     Raises:
-        TooCostly: it would have to be read whole, and has more than `most_bytes`.
+        TooCostly: it would have to be read whole, and has more bytes than may be read.
         SourceError: as `Source.read`.
     """
+    source, noticed = file.source, context.noticed
     try:
         index = read_index(source)
     except Malformed as error:
         why = f"the index cannot be used: {error}"
-        check_cost(source, most_bytes, why)
+        check_cost(source, context.limit_of(source), why)
         noticed.add("no-index", source.name, why)
         return _open_scanned(source, noticed)
     contents = Contents(index.facts.channels(), index.counts, sum(index.counts.values()), *index.table.span())
-    return ChunkedMember(source, BAG, index.table, contents, noticed, with_index_check=True)
+    return ChunkedMember(source, BAG_CHUNKS, index.table, contents, noticed, with_index_check=True)
 
 
 def _open_scanned(source: Source, noticed: Noticed) -> ChunkedMember:
@@ -154,7 +156,9 @@ def _open_scanned(source: Source, noticed: Noticed) -> ChunkedMember:
     channels = scan.facts.channels()
     counts = {number: count for number, count in builder.counts.items() if number in channels}
     contents = Contents(channels, counts, sum(counts.values()), *builder.table.span())
-    return ChunkedMember(source, BAG, builder.table, contents, noticed, summary=summarise_scan(scan, source.name))
+    return ChunkedMember(
+        source, BAG_CHUNKS, builder.table, contents, noticed, summary=summarise_scan(scan, source.name)
+    )
 
 
 def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
@@ -165,4 +169,20 @@ def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel
     return Saved(part, builder.table)
 
 
-BAG = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+BAG_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+ROSBAG1 = Format(
+    RecordingFormat.rosbag1,
+    lambda head: head.data.startswith(records.MAGIC),
+    "a recording (ROS 1 bag)",
+    extensions=(".bag",),
+    scan=scan_bag,
+    summarise=summarise_bag,
+    open=open_bag,
+)
+ROSBAG1_OLD = Format(
+    RecordingFormat.rosbag1_old,
+    lambda head: head.data.startswith((b"#ROSBAG V1", b"#ROSRECORD V1")),
+    "a ROS bag 1.x: convert it with 'rosbag migrate'",
+    extensions=(".bag",),
+    refusal="it is a ROS bag 1.x: convert it with 'rosbag migrate'",
+)

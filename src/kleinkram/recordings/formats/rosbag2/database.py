@@ -370,3 +370,21 @@ def _differs(database: BinaryIO, log: BinaryIO, page_bytes: int, number: int, at
     database.seek((number - 1) * page_bytes)
     logged = log.read(page_bytes)
     return len(logged) == page_bytes and logged != database.read(page_bytes)
+
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+def is_database(head: bytes) -> bool:
+    """Say by its first bytes whether a file is an SQLite database, of whatever content."""
+    return head.startswith(_SQLITE_MAGIC)
+
+
+def is_database_in_log(head: bytes, path: Path | None) -> bool:
+    """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
+
+    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
+    """
+    if path is None or not is_database(head) or path.suffix.lower() != ".db3":
+        return False
+    return any(Path(f"{path}{suffix}").is_file() for suffix in LOG_SUFFIXES)

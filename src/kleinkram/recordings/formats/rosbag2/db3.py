@@ -6,6 +6,7 @@ file. A scan also checks the structure of every page; what stands inside of mess
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import sys
 from array import array
@@ -19,14 +20,18 @@ from pathlib import Path
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.base import Format, Head, OpenContext, RecordingFile
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import (
+    LOG_SUFFIXES,
     MessageRow,
     Origin,
     TopicRow,
     check_tables,
     columns,
     find_leftovers,
+    is_database,
+    is_database_in_log,
     not_read,
     open_database,
     read_origin,
@@ -34,18 +39,20 @@ from kleinkram.recordings.formats.rosbag2.database import (
     replay,
     replayed_copy,
 )
+from kleinkram.recordings.formats.rosbag2.recovered_member import open_recovered
 from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery
 from kleinkram.recordings.limits import MAX_DEFINITIONS
-from kleinkram.recordings.member import Contents, Member
+from kleinkram.recordings.member import Contents, Member, check_cost
 from kleinkram.recordings.merge import Piece, Run, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import Forward
+from kleinkram.recordings.sources import Forward, Source, SourceForward
 from kleinkram.recordings.temporary_files import TooLarge, database_file
 from kleinkram.recordings.timeline import Timeline
-from kleinkram.recordings.topic_statistics import TopicType, bounded, measure
+from kleinkram.recordings.topic_statistics import TopicType, bounded, measure, pending
 
 _BATCH = 20_000
+_ROSBAG2_TABLES = (re.compile(rb"TABLE\s+[\"'`\[]?messages\b", re.I), re.compile(rb"TABLE\s+[\"'`\[]?topics\b", re.I))
 _NO_ORIGIN = Origin()
 _SCHEMA_ENCODING = ""
 
@@ -397,3 +404,61 @@ def _contents(database: sqlite3.Connection, channels: dict[int, Channel], *, has
     ]
     start_ns, end_ns = (end[0] if end and isinstance(end[0], int) else None for end in ends)
     return Contents(channels, None, count, start_ns, end_ns)
+
+
+def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+    if source.size_bytes > most_bytes:
+        why = "a rosbag2 database (db3) has no index of its messages"
+        return pending(RecordingFormat.rosbag2_db3, source.size_bytes, why)
+    # A database that is a local file is read in place.
+    return scan_db3(SourceForward(source, path=getattr(source, "path", None)), depth=Depth.summary)
+
+
+def _open(file: RecordingFile, context: OpenContext) -> Member:
+    source, noticed, compression = file.source, context.noticed, context.message_compression
+    if file.path is None:
+        check_cost(source, context.limit_of(source), "a rosbag2 database (db3) is read from a local copy")
+    path = file.database = _whole_database(file, context)
+
+    def recover() -> Member:
+        return open_recovered(path, source.name, noticed, context.stack, message_compression=compression)
+
+    return DatabaseMember(path, source.name, noticed, recover, message_compression=compression)
+
+
+def _whole_database(file: RecordingFile, context: OpenContext) -> Path:
+    """Return where a database can be read with what its log and journal hold, if there are any."""
+    if file.path is not None:
+        left = find_leftovers(file.path, file.base_name)
+        copy = context.stack.enter_context(replayed_copy(file.path)) if left else None
+        is_applied = copy is not None
+        path = copy or file.path
+    else:
+        name = file.source.name
+        logs = {suffix: log for suffix in LOG_SUFFIXES if (log := context.logs.get(f"{name}{suffix}")) is not None}
+        path = context.copy(SourceForward(file.source).read, name, logs)
+        left = find_leftovers(path, file.base_name)
+        is_applied = bool(left) and replay(path)
+        if left and not is_applied:  # half of it may be in this copy
+            path = context.copy(SourceForward(file.source).read, name)
+    for problem in [*left, *([] if is_applied else not_read(left))]:
+        context.noticed.add(problem.code, problem.where, problem.message)
+    return path
+
+
+def _matches(head: Head) -> bool:
+    """Recognise the tables in the schema, or a database whose tables may all be in the log beside it."""
+    return is_database(head.data) and (
+        all(table.search(head.data) for table in _ROSBAG2_TABLES) or is_database_in_log(head.data, head.path)
+    )
+
+
+ROSBAG2_DB3 = Format(
+    RecordingFormat.rosbag2_db3,
+    _matches,
+    "a recording (rosbag2 database)",
+    extensions=(".db3",),
+    scan=scan_db3,
+    summarise=_summarise,
+    open=_open,
+)

@@ -15,7 +15,7 @@ from kleinkram.recordings.damage_report import Noticed
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
-from kleinkram.recordings.formats.mcap.format import MCAP
+from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery
 from kleinkram.recordings.member import ChunkedMember, Contents
 from kleinkram.recordings.messages import Channel, Schema
@@ -62,7 +62,7 @@ def open_recovered(
     source = stack.enter_context(FileSource(copy))
     table = table_of_records(open_range(source, 0, source.size_bytes))
     contents = Contents(channels, counts, sum(counts.values()), *table.span())
-    return ChunkedMember(source, MCAP, table, contents, noticed)
+    return ChunkedMember(source, MCAP_CHUNKS, table, contents, noticed)
 
 
 def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]) -> Iterator[bytes]:
