@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from kleinkram.recordings.combine_summaries import combine, combine_folder
-from kleinkram.recordings.damage_report import Noticed
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.formats.base import OpenContext, RecordingFile
 from kleinkram.recordings.formats.documents import UNKNOWN
@@ -26,7 +26,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
 from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
 from kleinkram.recordings.member import ChunkedMember, Member
 from kleinkram.recordings.model import RecordingSummary
-from kleinkram.recordings.sources import FileSource, Source, SourceForward
+from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
 
@@ -66,7 +66,7 @@ class Opened:
     stack: ExitStack
 
 
-def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = None) -> Opened:
+def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | None = None) -> Opened:
     """Open the files of a recording; `most_bytes` as in `Recording.open`.
 
     Raises:
@@ -80,13 +80,13 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
     with ExitStack() as on_failure:
         on_failure.callback(stack.close)
         name, files = _files_of(what, stack)
-        metadata = _metadata_of(files, noticed)
+        metadata = _metadata_of(files, problem_log)
         logs = {file.source.name: file.source for file in files if file.source.name.endswith(LOG_SUFFIXES)}
         data = [file for file in files if file.base_name != METADATA_NAME and file.source.name not in logs]
         if not data:
             raise NotARecording(name, _why_nothing(metadata))
         names = tuple(file.base_name for file in data)
-        context = OpenContext(noticed, stack, most_bytes, _message_compression(metadata), logs)
+        context = OpenContext(problem_log, stack, most_bytes, _message_compression(metadata), logs)
         members = tuple(_open_file(file, context) for file in data)
         on_failure.pop_all()
 
@@ -113,7 +113,7 @@ def _summarise(file: RecordingFile) -> RecordingSummary:
     """
     inner = file.unpacked
     if inner is not None:
-        return scan(SourceForward(inner.source, path=inner.path))
+        return scan(SourceReader(inner.source, path=inner.path))
     if file.database is not None:
         with FileSource(file.database) as source:
             source.name = file.base_name
@@ -125,12 +125,12 @@ def _summarise(file: RecordingFile) -> RecordingSummary:
 
 
 def _open_file(file: RecordingFile, context: OpenContext) -> Member:
-    found = format_of(file.source)
-    if found is UNKNOWN and any(f"{file.source.name}{suffix}" in context.logs for suffix in LOG_SUFFIXES):
-        found = ROSBAG2_DB3  # all of its tables may be in the log
-    if found.open is None:
-        raise NotARecording(file.source.name, found.refusal)
-    return found.open(file, context)
+    file_format = format_of(file.source)
+    if file_format is UNKNOWN and any(f"{file.source.name}{suffix}" in context.logs for suffix in LOG_SUFFIXES):
+        file_format = ROSBAG2_DB3  # all of its tables may be in the log
+    if file_format.open is None:
+        raise NotARecording(file.source.name, file_format.refusal)
+    return file_format.open(file, context)
 
 
 def _message_compression(metadata: Rosbag2Metadata | None) -> str:
@@ -165,13 +165,13 @@ def _paths_of(path: Path) -> list[Path]:
     if not groups:
         raise NotARecording(str(path), _why_nothing(None))
     if len(groups) > 1:
-        raise SeveralRecordings(str(path), [str(path / found.name) for found in groups])
+        raise SeveralRecordings(str(path), [str(path / group.name) for group in groups])
     return _paths_in(path, groups[0])
 
 
-def _paths_in(folder: Path, found: RecordingGroup) -> list[Path]:
-    metadata = [found.metadata_path] if found.metadata_path else []
-    return [folder / name for name in [*metadata, *found.members]]
+def _paths_in(folder: Path, group: RecordingGroup) -> list[Path]:
+    metadata = [group.metadata_path] if group.metadata_path else []
+    return [folder / name for name in [*metadata, *group.members]]
 
 
 def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
@@ -180,7 +180,7 @@ def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
     return combine_folder(metadata, (), ()).reason or ""
 
 
-def _metadata_of(files: Iterable[RecordingFile], noticed: Noticed) -> Rosbag2Metadata | None:
+def _metadata_of(files: Iterable[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
     """Read the metadata.yaml among the files, and compare it with what is there."""
     names = {file.base_name for file in files}
     for file in files:
@@ -192,9 +192,9 @@ def _metadata_of(files: Iterable[RecordingFile], noticed: Noticed) -> Rosbag2Met
         if metadata is not None and metadata.is_other:
             return None
         if metadata is None:
-            noticed.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
+            problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
             return None
         for problem in compare_names(metadata, names - {METADATA_NAME}):
-            noticed.add(problem.code, problem.where, problem.message)
+            problem_log.add(problem.code, problem.where, problem.message)
         return metadata
     return None

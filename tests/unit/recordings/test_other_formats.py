@@ -25,7 +25,7 @@ from kleinkram.recordings.formats.documents import MAX_LINE_BYTES, read_lines
 from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.trajectories import parse_stamp
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.sources import from_source
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -34,7 +34,7 @@ from .memory_source import MemorySource
 def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
     data = text.encode() if isinstance(text, str) else text
     summary = summarise(MemorySource(data, name))
-    scanned = scan(from_source(MemorySource(data, name)))
+    scanned = scan(source_reader(MemorySource(data, name)))
     assert (scanned.format, scanned.content, scanned.facts, scanned.problems) == (
         summary.format,
         summary.content,
@@ -78,7 +78,7 @@ def test_mutations_never_raise(seed: int, recordings_dir: Path) -> None:
         data = bytearray((recordings_dir / name).read_bytes()[:30_000])
         for _ in range(chosen.choice((1, 5, 50))):
             data[chosen.randrange(len(data))] = chosen.randrange(256)
-        summary = scan(from_source(MemorySource(bytes(data), name)))
+        summary = scan(source_reader(MemorySource(bytes(data), name)))
         assert summary.depth is Depth.scan
         assert summary.content is not Content.error
         parse_rosbag2_metadata(bytes(data).decode("utf-8", "replace"))
@@ -206,7 +206,7 @@ def test_large_files_are_only_recognised() -> None:
 
 def test_lines_are_bounded() -> None:
     long = b"x" * (3 * MAX_LINE_BYTES)
-    lines = [*read_lines(from_source(MemorySource(b"a\r\n" + long + b"\n\nb")))]
+    lines = [*read_lines(source_reader(MemorySource(b"a\r\n" + long + b"\n\nb")))]
     assert [len(line) for line in lines] == [1, MAX_LINE_BYTES, 0, 1]
 
 

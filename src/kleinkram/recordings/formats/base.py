@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.damage_report import Noticed
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.member import Member
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, Forward, Source, SourceForward
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 HEAD_BYTES = 4096
@@ -71,7 +71,7 @@ class OpenContext:
         logs: logs and journals of databases, by their names.
     """
 
-    noticed: Noticed
+    problem_log: ProblemLog
     stack: ExitStack
     most_bytes: int | None = None
     message_compression: str = ""
@@ -89,7 +89,7 @@ class OpenContext:
         Raises:
             SourceError: it cannot be read, or there is no room for it.
         """
-        reads = {suffix: SourceForward(log).read for suffix, log in (logs or {}).items()}
+        reads = {suffix: SourceReader(log).read for suffix, log in (logs or {}).items()}
         try:
             return self.stack.enter_context(temporary_database(read, reads))
         except TooLarge as error:
@@ -115,7 +115,7 @@ class Format:
     description: str
     extensions: tuple[str, ...] = ()
     is_text: bool = False
-    scan: Callable[[Forward], RecordingSummary] | None = None
+    scan: Callable[[SequentialReader], RecordingSummary] | None = None
     summarise: Summarise | None = None
     open: Callable[[RecordingFile, OpenContext], Member] | None = None
     refusal: str = ""

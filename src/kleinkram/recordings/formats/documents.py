@@ -10,20 +10,20 @@ from functools import lru_cache
 from kleinkram.recordings.formats.base import HEAD_BYTES, Format
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import Forward
+from kleinkram.recordings.sources import SequentialReader
 
 MAX_LINE_BYTES = 64 * 2**10
 
 
-def read_lines(forward: Forward) -> Iterator[bytes]:
+def read_lines(reader: SequentialReader) -> Iterator[bytes]:
     """Yield lines without their end, empty ones too; of a longer line than `MAX_LINE_BYTES` only its beginning.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
     rest = b""
     is_cut = False
-    while block := forward.read(WINDOW):
+    while block := reader.read(WINDOW):
         *lines, last = block.split(b"\n")
         for line in lines:
             if not is_cut:
@@ -47,15 +47,15 @@ _CALIBRATION_KEYS = {"camera_matrix", "distortion_coefficients"}
 _KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
 
 
-def describe_yaml(forward: Forward) -> RecordingSummary:
+def describe_yaml(reader: SequentialReader) -> RecordingSummary:
     """Count the keys at the top of a YAML file; reads it to its end.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
     keys: dict[str, None] = {}
     kalibr: set[bytes] = set()
-    for line in read_lines(forward):
+    for line in read_lines(reader):
         match = _YAML_KEY.match(line)
         if match is not None and len(keys) < _MOST_KEYS:
             keys[match["key"].decode("utf-8", "replace").strip()[:_MAX_NAME]] = None
@@ -67,22 +67,22 @@ def describe_yaml(forward: Forward) -> RecordingSummary:
     return RecordingSummary(RecordingFormat.yaml, Content.opaque, YAML.description, facts=tuple(facts))
 
 
-def describe_json(forward: Forward) -> RecordingSummary:
+def describe_json(reader: SequentialReader) -> RecordingSummary:
     """Say what is at the top of a JSON file of at most `MAX_JSON_BYTES`; a larger one is only recognised.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
     facts: list[Fact] = []
     problems: list[Problem] = []
-    if forward.size_bytes <= MAX_JSON_BYTES:
+    if reader.size_bytes <= MAX_JSON_BYTES:
         pieces: list[bytes] = []
-        while piece := forward.read(MAX_JSON_BYTES):
+        while piece := reader.read(MAX_JSON_BYTES):
             pieces.append(piece)
         try:
             document = json.loads(b"".join(pieces))
         except (ValueError, RecursionError):
-            problems.append(Problem("json-damaged", forward.name, "it is not whole, or no JSON"))
+            problems.append(Problem("json-damaged", reader.name, "it is not whole, or no JSON"))
         else:
             facts = _top(document)
     return RecordingSummary(
@@ -141,7 +141,7 @@ def _are_numbers(lines: list[str], columns: int) -> bool:
 def text_format(
     kind: RecordingFormat,
     description: str,
-    scan: Callable[[Forward], RecordingSummary] | None = None,
+    scan: Callable[[SequentialReader], RecordingSummary] | None = None,
     refusal: str = "",
 ) -> Format:
     """Return a format that is recognised by `sniff_text`, and holds no messages."""

@@ -84,12 +84,12 @@ def sniff(source: Source) -> RecordingFormat:
     return format_of(source).kind
 
 
-def misleading_extension(name: str, found: Format) -> Problem | None:
+def misleading_extension(name: str, file_format: Format) -> Problem | None:
     """Return a problem if the extension of the name promises another content than there is."""
     extension = PurePosixPath(name).suffix.lower()
     promised = [one for one in FORMATS if extension in one.extensions]
-    is_right = found in promised if promised else found.is_text or extension not in _TEXT_EXTENSIONS
-    if is_right or found is EMPTY:
+    is_right = file_format in promised if promised else file_format.is_text or extension not in _TEXT_EXTENSIONS
+    if is_right or file_format is EMPTY:
         return None
-    what = "of no kind that we know" if found is UNKNOWN else f"that of {found.kind.value}"
+    what = "of no kind that we know" if file_format is UNKNOWN else f"that of {file_format.kind.value}"
     return Problem("extension-lies", name, f"it is named '{extension}', but its content is {what}")

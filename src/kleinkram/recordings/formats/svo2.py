@@ -41,7 +41,7 @@ SVO2 = Format(
     lambda head: head.data.startswith(MAGIC) and _LIBRARY_WORD in head.data[len(MAGIC) :][:_MCAP_HEADER_BYTES],
     "a recording of a ZED camera (SVO2)",
     extensions=(".svo2", ".mcap"),
-    scan=lambda forward: as_svo2(scan_mcap(forward)),
+    scan=lambda reader: as_svo2(scan_mcap(reader)),
     summarise=_summarise,
     refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
 )

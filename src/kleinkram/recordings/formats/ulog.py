@@ -21,16 +21,16 @@ from typing import NamedTuple
 from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Gap, Part, Saved
 from kleinkram.recordings.chunk_table import ChunkTable, StoredChunk
 from kleinkram.recordings.compression import Buffer
-from kleinkram.recordings.damage_report import Losses
+from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.member import ChunkedMember, Contents, check_cost
-from kleinkram.recordings.message_counts import Batch, MessageObserver, Place, PlaceKind, Tally
+from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
+from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import Forward, Source, SourceForward, from_source
-from kleinkram.recordings.streams import ForwardStream, Lookahead
+from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.streams import ByteStream, LookaheadStream
 from kleinkram.recordings.topic_statistics import TopicType, bounded, measure, pending
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -92,8 +92,8 @@ class UlogScan:
     formats: dict[str, str] = field(default_factory=dict)
     format_bytes: int = 0
     subscriptions: dict[int, Subscription] = field(default_factory=dict)
-    tally: Tally = field(default_factory=lambda: Tally(with_publish_times=False))
-    losses: Losses = field(default_factory=Losses)
+    counter: MessageCounter = field(default_factory=lambda: MessageCounter(with_publish_times=False))
+    losses: DamageReport = field(default_factory=DamageReport)
     refused: str = ""
     is_cut: bool = False
     information: dict[str, str] = field(default_factory=dict)
@@ -130,8 +130,8 @@ class UlogField(NamedTuple):
 
 def parse_fields(text: str) -> list[UlogField]:
     """Return the fields of a format, such as "uint64_t timestamp;float[3] xyz"; what is none is left out."""
-    found = (_FIELD.fullmatch(entry.strip()) for entry in text.split(";"))
-    return [UlogField(m["type"], int(m["length"]) if m["length"] else None, m["name"]) for m in found if m]
+    matches = (_FIELD.fullmatch(entry.strip()) for entry in text.split(";"))
+    return [UlogField(m["type"], int(m["length"]) if m["length"] else None, m["name"]) for m in matches if m]
 
 
 def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
@@ -198,10 +198,10 @@ def _ros1_type(name: str) -> str:
     return _ROS_TYPES.get(name, name.removesuffix("_t")) if name in _SIZES else f"ulog/{name}"
 
 
-class _Scanner:
-    def __init__(self, forward: Forward, observer: MessageObserver | None) -> None:
+class _UlogScanner:
+    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
         self.scan = UlogScan()
-        self._stream = Lookahead(forward, with_crc=False)
+        self._stream = LookaheadStream(reader, with_crc=False)
         self._observer = observer
         self._batch = Batch(self.scan.subscriptions)
         self._appended: list[int] = []
@@ -215,7 +215,7 @@ class _Scanner:
         scan.start_us = start_us if start_us <= _LATEST_US else 0
         while stream.left and not scan.refused:
             self._step()
-        scan.undefined += scan.tally.finish()
+        scan.undefined += scan.counter.finish()
         return scan
 
     def _step(self) -> None:
@@ -331,10 +331,10 @@ class _Scanner:
     def _flush(self, length: int) -> None:
         """Count what was read of the next `length` bytes, and pass over them."""
         scan, stream = self.scan, self._stream
-        scan.tally.learn(scan.subscriptions)
+        scan.counter.learn(scan.subscriptions)
         if self._observer is not None and self._batch:
-            self._observer.on_messages(Place(PlaceKind.records, stream.position, length, length), self._batch)
-        scan.tally.add(self._batch)
+            self._observer.on_messages(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
+        scan.counter.add(self._batch)
         self._batch = Batch(scan.subscriptions)
         stream.advance(length)
 
@@ -346,9 +346,9 @@ class _Scanner:
         stop = stream.size_bytes if boundary is None else boundary
         while stream.position < stop:
             at_hand = min(stream.ahead(_SEARCH_BYTES), stop - stream.position)
-            found = bytes(stream.window[stream.at : stream.at + at_hand]).find(_SYNC)
-            if found >= 0:
-                stream.advance(found)
+            sync_at = bytes(stream.window[stream.at : stream.at + at_hand]).find(_SYNC)
+            if sync_at >= 0:
+                stream.advance(sync_at)
                 break
             is_last = stream.position + at_hand == stop
             stream.advance(at_hand if is_last else at_hand - len(_SYNC) + 1)
@@ -362,13 +362,13 @@ class _Scanner:
         stream.advance(stream.left)
 
 
-def scan_ulog(forward: Forward) -> RecordingSummary:
+def scan_ulog(reader: SequentialReader) -> RecordingSummary:
     """Read a whole flight log.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
-    return summarise_scan(_Scanner(forward, None).run())
+    return summarise_scan(_UlogScanner(reader, None).run())
 
 
 def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
@@ -379,13 +379,13 @@ def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
     """
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")
-    return scan_ulog(from_source(source))
+    return scan_ulog(source_reader(source))
 
 
 def summarise_scan(scan: UlogScan) -> RecordingSummary:
     """Return the summary of a log that was scanned."""
     types = {one.topic: [TopicType(one.message_type, "ulog", "ulog")] for one in scan.subscriptions.values()}
-    timeline = scan.tally.timeline
+    timeline = scan.counter.timeline
     for name in [name for name, times in timeline.topics.items() if not times.count]:
         del timeline.topics[name]  # the autopilot announces all topics: those count that have messages
     measured = measure(timeline, types)
@@ -406,7 +406,7 @@ def summarise_scan(scan: UlogScan) -> RecordingSummary:
         topics=measured.topics,
         problems=bounded([*scan.losses.problems(), *_problems(scan), *measured.problems]),
         depth=Depth.scan,
-        lost=scan.losses.total(claimed=None, found=0) if scan.losses.damage else None,
+        lost=scan.losses.total(claimed=None, readable=0) if scan.losses.damage else None,
         facts=(*_facts(scan), Fact("topics_without_message", len(types) - len(measured.topics))),
     )
 
@@ -450,32 +450,32 @@ def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         TooCostly: it has more bytes than may be read.
         SourceError: as `Source.read`.
     """
-    source, noticed = file.source, context.noticed
+    source, problem_log = file.source, context.problem_log
     check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
-    builder = ChunkTableBuilder(ChunkTable(), noticed)
-    scan = _Scanner(SourceForward(source), builder).run()
+    builder = ChunkTableBuilder(ChunkTable(), problem_log)
+    scan = _UlogScanner(SourceReader(source), builder).run()
     builder.close()
     channels = {number: one for number, one in scan.channels().items() if number in builder.counts}
-    contents = Contents(channels, builder.counts, scan.tally.messages, *builder.table.span())
+    contents = MemberContents(channels, builder.counts, scan.counter.messages, *builder.table.span())
     ulog = ChunkFormat(_open_chunk, _MessageParser(scan.start_us), _salvage, _no_message_index)
-    return ChunkedMember(source, ulog, builder.table, contents, noticed, summary=summarise_scan(scan))
+    return ChunkedMember(source, ulog, builder.table, contents, problem_log, summary=summarise_scan(scan))
 
 
 @dataclass(frozen=True)
 class _MessageParser:
     start_us: int
 
-    def __call__(self, content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
+    def __call__(self, content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
         """Return the wanted messages of whole ULog messages, in the order in which they stand."""
         view = bytes(content)
-        found: Block = []
+        messages: Block = []
         at = 0
         while at + _MESSAGE_HEADER.size <= len(view):
             size, kind = _MESSAGE_HEADER.unpack_from(view, at)
             body_at, at = at + _MESSAGE_HEADER.size, at + _MESSAGE_HEADER.size + size
             if kind != MessageType.data or size < _U16.size:
                 continue
-            channel = wanted.get(_U16.unpack_from(view, body_at)[0])
+            channel = channels.get(_U16.unpack_from(view, body_at)[0])
             if channel is None:
                 continue
             data = view[body_at + _U16.size : at]
@@ -485,11 +485,11 @@ class _MessageParser:
             stamp_us = _U64.unpack_from(data, place)[0]
             log_ns = max(stamp_us, self.start_us) * 1000
             if stamp_us <= _LATEST_US and selection.start_ns <= log_ns < selection.end_ns:
-                found.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))
-        return found
+                messages.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))
+        return messages
 
 
-def _open_chunk(stream: ForwardStream) -> StoredChunk:
+def _open_chunk(stream: ByteStream) -> StoredChunk:
     raise Malformed(f"byte {stream.position}", "a ULog has no chunks")
 
 
