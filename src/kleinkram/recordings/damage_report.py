@@ -45,7 +45,9 @@ class DamageReport:
         """
         if not self.may_unpack(uncompressed, end=end):
             most = _most_unpacked(end)
-            message = f"it is left packed: with its {uncompressed} bytes, the file would unpack to more than {most}"
+            message = (
+                f"not decompressed: with its {uncompressed} bytes, the file would expand to more than {most} (limit)"
+            )
             raise Malformed("chunk", message, certain=False)
 
     def may_unpack(self, uncompressed: int, *, end: int) -> bool:

@@ -228,7 +228,7 @@ def test_a_file_of_bombs_is_unpacked_up_to_a_bound(
     assert summary.message_count == 10
     assert summary.lost is not None
     assert (summary.lost.chunks, summary.lost.messages) == (30, 30)
-    assert "would unpack to more than" in (summary.reason or "")
+    assert "would expand to more than" in (summary.reason or "")
     monkeypatch.undo()
     assert scan(source_reader(MemorySource(data, name))).content is Content.indexed
 
