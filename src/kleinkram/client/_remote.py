@@ -54,7 +54,7 @@ class RemoteFiles:
 
     def _ask_for_check(self, file_id: uuid.UUID) -> None:
         with suppress(KleinkramError):  # who may not ask for it reads on
-            self._files.prove(file_id)
+            self._files.verify(file_id)
 
     def _sign_again(self, file_id: uuid.UUID) -> str:
         return self._files.links([file_id]).items[0].url

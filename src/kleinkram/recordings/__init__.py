@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         compare_metadata,
         parse_rosbag2_metadata,
     )
-    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
+    from kleinkram.recordings.grouping import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
@@ -71,7 +71,7 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
-    "GroupKind",
+    "RecordingGroupKind",
     "Lost",
     "MemberFacts",
     "Problem",
@@ -122,7 +122,7 @@ _HOMES = {
         "pipe_reader",
         "source_reader",
     ),
-    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "grouping": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",

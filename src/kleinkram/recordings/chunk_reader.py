@@ -91,11 +91,11 @@ def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -
         for number, channel in file.channels.items()
         if selection.topics is None or channel.topic in selection.topics
     }
-    reader = _Reader(file, channels, selection)
+    reader = _ChunkReader(file, channels, selection)
     yield from reader.pieces(reader.select(), order)
 
 
-class _Reader:
+class _ChunkReader:
     def __init__(self, file: ChunkedFile, channels: Mapping[int, Channel], selection: Selection) -> None:
         self._file = file
         self._channels = channels
@@ -243,10 +243,10 @@ class _Reader:
     def _salvaged(self, row: Row, damage: Malformed) -> MessageRun:
         """Read what a scan finds in a damaged chunk, or instead of one that does not stand where the index says."""
         file = self._file
-        gaps: Iterable[Gap] = []
+        gaps: Iterable[FileGap] = []
         if not file.is_part and row.kind != PlaceKind.records:
             is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
-            gaps = [Gap(row.start, row.end)] if is_there else self._unlisted()
+            gaps = [FileGap(row.start, row.end)] if is_there else self._unlisted()
         size = sum(gap.end - gap.start for gap in gaps)
         saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
         if saved is None or not saved.table.rows:
@@ -257,7 +257,7 @@ class _Reader:
         inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.problem_log, is_part=True)
         return MessageRun([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
 
-    def _unlisted(self) -> Iterable[Gap]:
+    def _unlisted(self) -> Iterable[FileGap]:
         """Return where chunks may stand that the index lists somewhere else; at the second time nothing."""
         if self._searched:
             return []
@@ -408,19 +408,19 @@ class ChunkTableBuilder:
 _HEAD_WINDOW = 4096
 
 
-class Gap(NamedTuple):
+class FileGap(NamedTuple):
     """A part of a file: [start, end)."""
 
     start: int
     end: int
 
 
-class Part:
+class JoinedGaps:
     """Gaps of a source, one behind the other, behind the bytes with which a file of its format begins: a `Source`."""
 
     path: Path | None = None
 
-    def __init__(self, source: Source, magic: bytes, gaps: Iterable[Gap]) -> None:
+    def __init__(self, source: Source, magic: bytes, gaps: Iterable[FileGap]) -> None:
         self.name = source.name
         self._source = source
         self._magic = magic
@@ -445,14 +445,14 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Saved:
+class SalvagedMessages:
     """Where messages stand in a part of a file."""
 
-    part: Part
+    part: JoinedGaps
     table: ChunkTable
 
 
-Salvage = Callable[[Source, Iterable[Gap], Mapping[int, Channel]], Saved]
+Salvage = Callable[[Source, Iterable[FileGap], Mapping[int, Channel]], SalvagedMessages]
 OpenChunk = Callable[[ByteStream], StoredChunk]
 
 
@@ -471,7 +471,7 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
     return end if end <= row.end else None
 
 
-def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[Gap]:
+def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
     """Return the parts of a file, in their order, that belong to no chunk which its index lists where one stands.
 
     `rows`: in the order of their places. Reads the head of each chunk.
@@ -479,11 +479,11 @@ def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> In
     Raises:
         SourceError: as `Source.read`.
     """
-    gaps, at = Int64Table(Gap, len(Gap._fields)), 0
+    gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
     for row in rows:
         end = end_of_chunk(source, row, open_chunk) if row.start >= at else None
         if end is not None:
-            gaps.append(Gap(at, row.start))
+            gaps.append(FileGap(at, row.start))
             at = end
-    gaps.append(Gap(at, source.size_bytes))
+    gaps.append(FileGap(at, source.size_bytes))
     return gaps

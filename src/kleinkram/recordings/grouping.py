@@ -49,7 +49,7 @@ _TIME_AT_END = re.compile(
 )
 
 
-class GroupKind(str, Enum):
+class RecordingGroupKind(str, Enum):
     """What holds the files of a recording together."""
 
     single = "single"
@@ -69,7 +69,7 @@ class RecordingGroup:
     """
 
     name: str
-    kind: GroupKind
+    kind: RecordingGroupKind
     members: tuple[str, ...]
     metadata_path: str | None = None
 
@@ -107,7 +107,7 @@ def _group_folder(
     own = _members(folder, paths, metadata)
     if not own and (metadata is None or not metadata.files):
         return _group_by_name(paths)
-    recording, owned = RecordingGroup(folder or ".", GroupKind.rosbag2, tuple(own), metadata_path), set(own)
+    recording, owned = RecordingGroup(folder or ".", RecordingGroupKind.rosbag2, tuple(own), metadata_path), set(own)
     return [recording, *_group_by_name([path for path in paths if path not in owned])]
 
 
@@ -194,7 +194,7 @@ def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
 def _group_split(name: str, files: Iterable[_DataFile]) -> list[RecordingGroup]:
     files = _in_order(files)
     if len(files) > 1 and files[0].number == 0:
-        return [RecordingGroup(name, GroupKind.split_set, tuple(file.path for file in files))]
+        return [RecordingGroup(name, RecordingGroupKind.split_set, tuple(file.path for file in files))]
     return [_single(file.path) for file in files]
 
 
@@ -225,13 +225,13 @@ def _group_timed(sets: Iterable[list[_Timed]]) -> list[RecordingGroup]:
             recordings[-1].append(path)
             previous = number
     return [
-        RecordingGroup(paths[0], GroupKind.split_set, tuple(paths)) if len(paths) > 1 else _single(paths[0])
+        RecordingGroup(paths[0], RecordingGroupKind.split_set, tuple(paths)) if len(paths) > 1 else _single(paths[0])
         for paths in recordings
     ]
 
 
 def _single(path: str) -> RecordingGroup:
-    return RecordingGroup(path, GroupKind.single, (path,))
+    return RecordingGroup(path, RecordingGroupKind.single, (path,))
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.grouping import (
     METADATA_NAME,
     FolderRecordings,
-    GroupKind,
     RecordingGroup,
+    RecordingGroupKind,
     read_folder,
     recording_of_metadata,
 )
@@ -208,11 +208,11 @@ def _inspect_folder(folder: Path, inspector: _FileInspector) -> list[Inspection]
 def _inspect_group(
     folder: Path, group: RecordingGroup, beside: FolderRecordings, inspector: _FileInspector
 ) -> Inspection:
-    if group.kind is GroupKind.single:
+    if group.kind is RecordingGroupKind.single:
         return _inspect_file(folder / group.members[0], inspector)
     members = tuple(str(folder / name) for name in group.members)
     names = [Path(member).name for member in members]
     summaries = [inspector.into(Path(member)) for member in members]
-    is_folder = group.kind is GroupKind.rosbag2
+    is_folder = group.kind is RecordingGroupKind.rosbag2
     summary = combine_folder(beside.metadata_of(group), names, summaries) if is_folder else combine(summaries, names)
     return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)

@@ -18,7 +18,7 @@ from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Gap, Part, Saved
+from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
 from kleinkram.recordings.chunk_table import ChunkTable, StoredChunk
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
@@ -493,8 +493,8 @@ def _open_chunk(stream: ByteStream) -> StoredChunk:
     raise Malformed(f"byte {stream.position}", "a ULog has no chunks")
 
 
-def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
-    return Saved(Part(source, MAGIC, ()), ChunkTable())
+def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Channel]) -> SalvagedMessages:
+    return SalvagedMessages(JoinedGaps(source, MAGIC, ()), ChunkTable())
 
 
 def _no_message_index(source: Source, row: object) -> None:

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Gap, Part, Saved
+from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import NotIndexed
@@ -227,13 +227,13 @@ def _open_scanned(source: Source, problem_log: ProblemLog, message_compression: 
     )
 
 
-def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
-    part = Part(source, records.MAGIC, gaps)
+def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Channel]) -> SalvagedMessages:
+    part = JoinedGaps(source, records.MAGIC, gaps)
     builder = ChunkTableBuilder(ChunkTable(), ProblemLog())
     known = {number: ChannelRecord(0, channel.topic, channel.message_encoding) for number, channel in channels.items()}
     scan_records(SourceReader(part), builder, known)
     builder.close()
-    return Saved(part, builder.table)
+    return SalvagedMessages(part, builder.table)
 
 
 MCAP_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)

@@ -110,8 +110,8 @@ class BagFacts:
         if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
         self.definition_bytes += len(connection.definition)
-        is_kept = self.definition_bytes <= MAX_DEFINITIONS
-        self.connections[number] = connection if is_kept else connection._replace(definition=b"")
+        fits = self.definition_bytes <= MAX_DEFINITIONS
+        self.connections[number] = connection if fits else connection._replace(definition=b"")
 
     def channels(self) -> dict[int, Channel]:
         """Return the connections as channels."""

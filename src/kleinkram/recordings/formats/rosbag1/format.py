@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Gap, Part, Saved
+from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import Malformed
@@ -161,12 +161,12 @@ def _open_scanned(source: Source, problem_log: ProblemLog) -> ChunkedMember:
     )
 
 
-def _salvage(source: Source, gaps: Iterable[Gap], channels: Mapping[int, Channel]) -> Saved:
-    part = Part(source, records.MAGIC, gaps)
+def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Channel]) -> SalvagedMessages:
+    part = JoinedGaps(source, records.MAGIC, gaps)
     builder = ChunkTableBuilder(ChunkTable(), ProblemLog())
     scan_bag_records(SourceReader(part), builder)
     builder.close()
-    return Saved(part, builder.table)
+    return SalvagedMessages(part, builder.table)
 
 
 BAG_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)

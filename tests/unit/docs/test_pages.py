@@ -1,4 +1,4 @@
-"""Every command that a page shows is one that klein has, with the options that it shows; every link leads somewhere."""
+"""Commands with their options, links, and paths of the repository that the pages show exist."""
 
 import re
 import shlex
@@ -13,10 +13,11 @@ import typer
 from kleinkram.cli.main import app
 
 ROOT = Path(__file__).parents[3]
-# migrating.md sets the commands of the original beside ours.
-PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")} - {ROOT / "docs" / "migrating.md"})
+# migrating.md lists commands of the original beside ours.
+PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")} - {ROOT / "docs" / "migrating.md"})
 _ENDS = {"|", ">", ">>", "<", "&", "&&", "||", ";"}
 _NAME = re.compile(r"[a-z][a-z-]*")
+_PATH = re.compile(r"`((?:src|tests|docs|web|deploy|examples|benchmarks|tools)/[\w./-]+)`")
 
 
 def commands_on(page: Path) -> Iterator[str]:
@@ -42,10 +43,10 @@ def resolve(words: list[str]) -> tuple[Any, list[str]]:
     path: list[str] = []
     while hasattr(command, "get_command") and words and _NAME.fullmatch(words[0]):
         context = command.context_class(command, parent=context)
-        found = command.get_command(context, words[0])
-        assert found is not None, f"there is no `klein {' '.join([*path, words[0]])}`"
+        subcommand = command.get_command(context, words[0])
+        assert subcommand is not None, f"there is no `klein {' '.join([*path, words[0]])}`"
         path.append(words[0])
-        command, words = found, words[1:]
+        command, words = subcommand, words[1:]
     return command, words
 
 
@@ -60,10 +61,10 @@ def test_the_commands_on_a_page_exist(page: Path) -> None:
         words = shlex.split(line, comments=True)[1:]
         stop = next((number for number, word in enumerate(words) if word in _ENDS), len(words))
         command, rest = resolve(words[:stop])
-        given = {
+        options = {
             word.partition("=")[0] for word in rest if word.startswith("-") and len(word) > 1 and not word[1:].isdigit()
         }
-        unknown = given - options_of(command)
+        unknown = options - options_of(command)
         assert not unknown, f"`{line}`: {command.name} has no {', '.join(sorted(unknown))}"
 
 
@@ -78,12 +79,19 @@ def headings_of(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_the_links_on_a_page_lead_somewhere(page: Path) -> None:
+def test_links_on_a_page_lead_somewhere(page: Path) -> None:
     prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for link in re.findall(r"\]\(([^)\s]+)\)", prose):
         if "://" in link:
             continue
         path, _, heading = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        assert target.exists(), f"{link} is not there"
+        assert target.exists(), f"{link} does not exist"
         assert not heading or heading in headings_of(target), f"{link} has no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_paths_on_a_page_exist(page: Path) -> None:
+    if page.name != "CHANGELOG.md":
+        paths = _PATH.findall(page.read_text(encoding="utf-8"))
+        assert not [path for path in paths if "NOUN" not in path and not (ROOT / path).exists()]

@@ -5,8 +5,8 @@ import asyncio
 from sqlalchemy import select
 
 from kleinkram.server.blobs import scrubs
-from kleinkram.server.blobs.proving import read_through
 from kleinkram.server.blobs.scrubbing import scrub_store
+from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.settings import Settings
@@ -15,7 +15,7 @@ from kleinkram.server.tables import blob, person
 
 
 def complaints(settings: Settings) -> list[str]:
-    """Scrub, and read all blobs through as their proof does; return what is wrong with any."""
+    """Scrub, and read all blobs through as their verification does; return what is wrong with any."""
 
     async def go() -> list[str]:
         database = open_database(settings)

@@ -12,11 +12,11 @@ from fastapi import Request
 from fastapi.responses import FileResponse, HTMLResponse, Response
 
 from kleinkram.contract.errors import NotFound
-from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.http.headers import PAGE_POLICY
 from kleinkram.server.settings import Settings
 
-BUILT: Final = Path(__file__).parent / "built"
-STATIC: Final = Path(__file__).parent / "static"
+BUILT: Final = Path(__file__).parent.parent / "web" / "built"
+STATIC: Final = Path(__file__).parent.parent / "web" / "static"
 # What is built is named after its content, so it never changes under its name.
 FOREVER: Final = "public, max-age=31536000, immutable"
 DAY: Final = "public, max-age=86400"
@@ -90,7 +90,7 @@ def asks_for_json(request: Request) -> bool:
     return "json" in accepted and "text/html" not in accepted
 
 
-def is_of_original(path: str) -> bool:
+def is_original_api_path(path: str) -> bool:
     """Say whether the original's API has this path, and neither ours nor the app."""
     return _ORIGINALS_PATH.fullmatch(path) is not None
 

@@ -1,4 +1,4 @@
-"""What a route may ask for in its signature: who asks, a transaction, the store. Only routes import this."""
+"""Dependencies of routes: the actor, a transaction, the context. Only routes import this."""
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Annotated
@@ -16,7 +16,7 @@ from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.places import named
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.rate_limit import limit_expensive
+from kleinkram.server.http.rate_limit import limit_expensive
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import Storage
 
@@ -53,9 +53,9 @@ async def _actor(
     credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
 ) -> Actor:
     operation: str = request.scope["route"].operation_id
-    who = await _who(request, database, credentials, is_door=is_door(operation))
+    requester = await _authenticate(request, database, credentials, is_door=is_door(operation))
     address = request.client.host if request.client else None
-    actor = who.asking(operation, request_id=request.state.request_id, address=address)
+    actor = requester.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
     if OPERATIONS[operation].fresh:
@@ -68,7 +68,7 @@ async def _actor(
     return actor
 
 
-async def _who(
+async def _authenticate(
     request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None, *, is_door: bool
 ) -> Actor:
     cookie = request.cookies.get(session_cookie(request.app.state.settings))
@@ -77,54 +77,56 @@ async def _who(
     if credentials is None and cookie is None:
         raise NotAuthenticated(reason="the request has no bearer token")
     async with database.autocommit() as db:
-        found = await _carrier(request, db, credentials)
-    if found is None and credentials is None and is_door:
-        return STRANGER  # whoever's session has ended may sign in again
-    if found is None:
+        actor = await _find_credential_holder(request, db, credentials)
+    if actor is None and credentials is None and is_door:
+        return STRANGER  # with an expired session, people may sign in again
+    if actor is None:
         raise NotAuthenticated(reason="the token is not valid here" if credentials else "the session has ended")
     if credentials is None:
-        refuse_foreign_page(request)
-    return found
+        require_same_origin(request)
+    return actor
 
 
-async def _carrier(request: Request, db: Connection, credentials: HTTPAuthorizationCredentials | None) -> Actor | None:
+async def _find_credential_holder(
+    request: Request, db: Connection, credentials: HTTPAuthorizationCredentials | None
+) -> Actor | None:
     settings: Settings = request.app.state.settings
     if credentials is None:
         cookie = request.cookies.get(session_cookie(settings), "")
         return await find_signed_in(db, cookie, idle_s=settings.session_idle_s)
-    found = await find_actor(db, credentials.credentials)
-    if found is not None and found.kind is ActorKind.share and not await still_shares(db, found):
+    actor = await find_actor(db, credentials.credentials)
+    if actor is not None and actor.kind is ActorKind.share and not await still_shares(db, actor):
         return None
-    return found
+    return actor
 
 
-async def _find_again(
+async def _reauthenticate(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 ) -> Callable[[Connection], Awaitable[Actor | None]]:
-    """Return what finds out anew who asked, for an answer that lasts: None once they are nobody any more."""
+    """Return a function that authenticates a streaming request again; None once its credential is no longer valid."""
     operation: str = request.scope["route"].operation_id
 
-    async def find(db: Connection) -> Actor | None:
-        found = await _carrier(request, db, credentials)
+    async def authenticate(db: Connection) -> Actor | None:
+        actor = await _find_credential_holder(request, db, credentials)
         address = request.client.host if request.client else None
-        return found and found.asking(operation, request_id=request.state.request_id, address=address)
+        return actor and actor.asking(operation, request_id=request.state.request_id, address=address)
 
-    return find
+    return authenticate
 
 
-FindAgain = Annotated[Callable[[Connection], Awaitable[Actor | None]], Depends(_find_again)]
+Reauthenticate = Annotated[Callable[[Connection], Awaitable[Actor | None]], Depends(_reauthenticate)]
 
 
 def session_cookie(settings: Settings) -> str:
-    """Return the name of the cookie that holds a browser's session; with TLS, one that no other host can set."""
+    """Return the name of the session cookie; with TLS, its prefix keeps other hosts from setting it."""
     return "__Host-kleinkram" if settings.public_url.startswith("https://") else "kleinkram"
 
 
-def refuse_foreign_page(request: Request) -> None:
-    """See that what a browser sends along with its cookie comes from a page of ours, where it may change anything.
+def require_same_origin(request: Request) -> None:
+    """Require that a change sent with a session cookie comes from a page of this server (CSRF).
 
     Raises:
-        NotAuthenticated: it comes from another site's page, or does not say where it comes from.
+        NotAuthenticated: the Origin header is missing or names another site.
     """
     if request.method in {"GET", "HEAD", "OPTIONS"}:
         return
@@ -136,32 +138,32 @@ def refuse_foreign_page(request: Request) -> None:
 CurrentActor = Annotated[Actor, Depends(_actor)]
 
 
-def asks_who(route: APIRoute) -> bool:
-    """Say whether a route lets nobody in before it knows who comes, and that its operation is for them."""
-    waiting = [route.dependant]
-    while waiting:
-        dependant = waiting.pop()
+def requires_actor(route: APIRoute) -> bool:
+    """Whether a route authenticates its caller and checks their permission for its operation."""
+    pending = [route.dependant]
+    while pending:
+        dependant = pending.pop()
         if dependant.call is _actor:
             return True
-        waiting += dependant.dependencies
+        pending += dependant.dependencies
     return False
 
 
-async def _transaction(database: CurrentDatabase, _known: CurrentActor) -> AsyncIterator[Connection]:
-    # Only once it is known who asks: a request that held one connection while it waits for another could starve all.
+async def _transaction(database: CurrentDatabase, _actor: CurrentActor) -> AsyncIterator[Connection]:
+    # Depends on the actor: a request that kept one connection while it waits for another could block all.
     async with database.begin() as connection:
         yield connection
 
 
-async def _reading(database: CurrentDatabase, _known: CurrentActor) -> AsyncIterator[Connection]:
+async def _reading(database: CurrentDatabase, _actor: CurrentActor) -> AsyncIterator[Connection]:
     async with database.autocommit() as connection:
         yield connection
 
 
-CurrentSite = Annotated[AppContext, Depends(_context)]
-# scope="function": committed before the answer leaves, so that nobody reads their own write too early.
+CurrentContext = Annotated[AppContext, Depends(_context)]
+# scope="function": committed before the response is sent, so that clients read their own writes.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
-# For routes that change nothing, and set nothing for the rest of a transaction.
+# For routes that change nothing and set no transaction-local settings.
 Reading = Annotated[Connection, Depends(_reading, scope="function")]
 
 

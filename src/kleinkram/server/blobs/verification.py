@@ -68,7 +68,7 @@ async def read_through(context: AppContext, key: str, along: Along | None = None
                 crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
                 if along is not None:
                     await along(piece)
-                ahead_s = size_bytes / context.settings.proving_bytes_per_s - (time.monotonic() - started)
+                ahead_s = size_bytes / context.settings.verify_bytes_per_s - (time.monotonic() - started)
                 if ahead_s > 0:
                     await asyncio.sleep(ahead_s)
     except StoreUnavailable as error:

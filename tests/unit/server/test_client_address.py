@@ -3,15 +3,15 @@ import ipaddress
 import pytest
 from pydantic import ValidationError
 
-from kleinkram.server.proxies import asker, set_asker
-from kleinkram.server.rate_limit import neighbourhood
+from kleinkram.server.http.headers import client_address, set_client_address
+from kleinkram.server.http.rate_limit import subscriber_network
 from kleinkram.server.settings import Settings
 
 TRUSTED = [ipaddress.ip_network("10.0.0.0/8"), ipaddress.ip_network("fd00::/8")]
 
 
 @pytest.mark.parametrize(
-    ("peer", "forwarded", "found"),
+    ("peer", "forwarded_for", "expected"),
     [
         ("203.0.113.1", [], "203.0.113.1"),
         ("203.0.113.1", ["192.0.2.1"], "203.0.113.1"),
@@ -28,21 +28,23 @@ TRUSTED = [ipaddress.ip_network("10.0.0.0/8"), ipaddress.ip_network("fd00::/8")]
         ("testclient", ["192.0.2.1"], "testclient"),
     ],
 )
-def test_the_nearest_that_is_no_proxy_of_ours(peer: str, forwarded: list[str], found: str) -> None:
-    assert asker(peer, forwarded, TRUSTED) == found
+def test_client_address_is_the_nearest_that_is_not_a_trusted_proxy(
+    peer: str, forwarded_for: list[str], expected: str
+) -> None:
+    assert client_address(peer, forwarded_for, TRUSTED) == expected
 
 
 @pytest.mark.parametrize(
-    ("peer", "said", "scheme"),
+    ("peer", "forwarded_scheme", "scheme"),
     [("10.0.0.1", b"https", "https"), ("192.0.2.1", b"https", "http"), ("10.0.0.1", b"javascript", "http")],
 )
-def test_the_scheme_is_the_nearest_proxy_s_word(peer: str, said: bytes, scheme: str) -> None:
-    scope = {"client": (peer, 1), "scheme": "http"}
-    set_asker(scope, [(b"x-forwarded-proto", said)], TRUSTED)
+def test_scheme_comes_from_the_nearest_trusted_proxy(peer: str, forwarded_scheme: bytes, scheme: str) -> None:
+    scope = {"client": (peer, 1), "scheme": "http", "headers": [(b"x-forwarded-proto", forwarded_scheme)]}
+    set_client_address(scope, TRUSTED)
     assert scope["scheme"] == scheme
 
 
-def test_networks_are_read_from_one_line_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trusted_proxies_are_read_from_one_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {
         "DATABASE_URL": "postgresql://a@b/c",
         "S3_INTERNAL_URL": "http://s",
@@ -58,7 +60,7 @@ def test_networks_are_read_from_one_line_of_the_environment(monkeypatch: pytest.
         Settings()
 
 
-def test_one_subscriber_is_one_neighbourhood() -> None:
-    assert neighbourhood("192.0.2.1") == "192.0.2.1"
-    assert neighbourhood("2001:db8::1") == neighbourhood("2001:db8::ffff") == "2001:db8::/64"
-    assert neighbourhood("elsewhere") == "elsewhere"
+def test_an_ipv6_subscriber_is_its_64_network() -> None:
+    assert subscriber_network("192.0.2.1") == "192.0.2.1"
+    assert subscriber_network("2001:db8::1") == subscriber_network("2001:db8::ffff") == "2001:db8::/64"
+    assert subscriber_network("elsewhere") == "elsewhere"

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.blobs.proving import read_through
+from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -78,9 +78,9 @@ def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
     seen = troubled.get(f"/files/{file['id']}").ok()
     assert seen["state"] == "corrupt"
     assert "serves others" in seen["state_reason"]
-    troubled.post(f"/files/{file['id']}/prove").ok(202)
+    troubled.post(f"/files/{file['id']}/verify").ok(202)
     run_jobs(troubled)
-    assert troubled.get(f"/files/{file['id']}").ok()["state"] == "proven", "the store was at fault, and is no more"
+    assert troubled.get(f"/files/{file['id']}").ok()["state"] == "verified", "the store was at fault, and is no more"
 
 
 def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: Middleman) -> None:
@@ -112,16 +112,16 @@ def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman
     assert attempts >= 1, "it is tried again"
 
 
-def test_asking_for_a_proof_does_not_wait_for_a_retry(troubled: Api, middleman: Middleman) -> None:
+def test_requesting_a_verification_does_not_wait_for_a_retry(troubled: Api, middleman: Middleman) -> None:
     file, _ = _uploaded(troubled, 3_000)
     troubled.sql("DELETE FROM procrastinate_jobs")
     [(blob_id,)] = troubled.sql("SELECT blob_id::text FROM file WHERE id = %s", file["id"])
     troubled.sql(
-        "SELECT procrastinate_defer_jobs_v1(ARRAY[ROW('proving', 'prove_blob', -10, NULL, NULL,"
+        "SELECT procrastinate_defer_jobs_v1(ARRAY[ROW('verification', 'verify_blob', -10, NULL, NULL,"
         " jsonb_build_object('ref', %s::text), now() + interval '1 day')::procrastinate_job_to_defer_v1])",
         blob_id,
     )
-    troubled.post(f"/files/{file['id']}/prove").ok(202)
+    troubled.post(f"/files/{file['id']}/verify").ok(202)
     [(due, priority)] = troubled.sql("SELECT coalesce(scheduled_at, now()) <= now(), priority FROM procrastinate_jobs")
     assert due
     assert priority > 0

@@ -1,8 +1,7 @@
-"""The web server: ends its streams before it waits for requests to end, and bounds what a connection may cost.
+"""The web server: uvicorn with limits on what a connection may cost.
 
-Bounded are the size and time of heads, the pace of bodies, what surrounds the bytes of a body (chunk extensions,
-trailers), and the number of connections, of one address and in all. Bodies are bounded in size where they are read
-(`http`).
+Limits the size and duration of request heads, the pace of bodies, chunk extensions and trailers, and the number of
+connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first.
 """
 
 import asyncio
@@ -20,45 +19,46 @@ from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from kleinkram.server.proxies import Network, parse_address
-from kleinkram.server.settings import Settings
+from kleinkram.server.http.headers import parse_address
+from kleinkram.server.settings import Network, Settings
 
-_log = logging.getLogger("kleinkram.serving")
-_MOST_HEAD_BYTES = 64 * 1024
-_HEAD_WITHIN_S = 30.0
-# A body must arrive within a time that grows with what has arrived, as Apache's RequestReadTimeout has it.
-_BODY_WITHIN_S = 30.0
+_log = logging.getLogger("kleinkram.web_server")
+_MAX_HEAD_BYTES = 64 * 1024
+_HEAD_TIMEOUT_S = 30.0
+# The timeout of a body grows with the bytes received, like Apache's RequestReadTimeout.
+_BODY_TIMEOUT_S = 30.0
 _BODY_BYTES_PER_S = 4096
-# What surrounds the bytes of a body: a chunk of one byte takes five more, a chunk extension may say a little.
+# Allowed framing of a chunked body: a chunk of one byte takes five more bytes, and extensions may be short.
 _FRAMING_BYTES = 64 * 1024
 _FRAMING_PER_BODY_BYTE = 16
-# A client that was answered before it had sent all may read the answer before the connection is closed.
+# A client that got a response before it sent the whole request has this time to read it.
 _LINGER_S = 10.0
-_MOST_CONNECTIONS = 16_384
-# Files that this process opens for other purposes: database, store, logs.
+_MAX_CONNECTIONS = 16_384
+# Files that this process opens for the database, the store and logs.
 _OTHER_FILES = 256
 _IPV6_PREFIX = 64
-_NO_ROOM = 503
-_REFUSALS = {
-    408: b"HTTP/1.1 408 Request Timeout\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
-    413: b"HTTP/1.1 413 Content Too Large\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
-    431: b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
-    _NO_ROOM: b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\ncontent-length: 0\r\nconnection: close\r\n\r\n",
+_TOO_MANY_CONNECTIONS = 503
+_CLOSE = b"content-length: 0\r\nconnection: close\r\n\r\n"
+_REFUSED_RESPONSES = {
+    408: b"HTTP/1.1 408 Request Timeout\r\n" + _CLOSE,
+    413: b"HTTP/1.1 413 Content Too Large\r\n" + _CLOSE,
+    431: b"HTTP/1.1 431 Request Header Fields Too Large\r\n" + _CLOSE,
+    _TOO_MANY_CONNECTIONS: b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\n" + _CLOSE,
 }
-_NOT_STARTED = "lifespan.startup.failed"
+_STARTUP_FAILED = "lifespan.startup.failed"
 
 
-class _ShortFailure:
-    """An app of whose failure to start the last line is told, a sentence, in place of a traceback."""
+class _ShortStartupErrors:
+    """ASGI wrapper that reports one of our own errors at startup as a sentence instead of a traceback."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on everything else."""
+        """Handle one request or the lifespan."""
 
         async def send_short(message: Message) -> None:
-            if message["type"] == _NOT_STARTED:
+            if message["type"] == _STARTUP_FAILED:
                 message["message"] = _sentence(message["message"])
             await send(message)
 
@@ -66,36 +66,36 @@ class _ShortFailure:
 
 
 def _sentence(traceback: str) -> str:
-    """Return the sentence at a traceback's end where it is one of ours, else all of it: a fault to be looked into."""
+    """Return the message at the end of a traceback if the exception is ours, else the whole traceback."""
     kind, _, sentence = traceback.strip().splitlines()[-1].partition(": ")
     return f"not started: {sentence}" if kind.startswith("kleinkram.") else traceback
 
 
 class ApiServer(uvicorn.Server):
-    """Serves one app."""
+    """uvicorn with these limits, for one app."""
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         settings: Settings = app.state.settings
         connections = OpenConnections(
             per_address=settings.connections_per_address,
-            in_all=min(_MOST_CONNECTIONS, max(1, raise_open_files_limit() - _OTHER_FILES)),
+            total=min(_MAX_CONNECTIONS, max(1, raise_open_files_limit() - _OTHER_FILES)),
             unlimited=settings.trusted_proxies,
         )
         config.http = type("LimitedHttp", (LimitedHttp,), {"open_connections": connections})
-        config.app = _ShortFailure(app)
+        config.app = _ShortStartupErrors(app)
         super().__init__(config)
         self._app = app
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End streams, wait for other requests, then stop."""
+        """End event streams, wait for other requests, then stop."""
         hub = getattr(self._app.state, "hub", None)
         if hub is not None:
-            hub.end()
+            hub.close()
         await super().shutdown(sockets)
 
 
 def raise_open_files_limit() -> int:
-    """Raise the soft limit of open files of this process to the hard one; return what it is now."""
+    """Raise this process's soft limit of open files to the hard limit; return the new limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if resource.RLIM_INFINITY in (soft, hard):
         return sys.maxsize
@@ -110,43 +110,43 @@ def raise_open_files_limit() -> int:
 
 
 class OpenConnections:
-    """The connections of a process, by the address of their peer; an IPv6 peer counts as its /64 network.
+    """The connections of a process by peer address; an IPv6 peer counts as its /64 network.
 
-    Where an address has as many as it may have, the oldest one that waits for a request to arrive gives way to a new
-    one: a client that opens many without asking anything shuts nobody out, not even others behind its own address.
+    At the limit, a new connection replaces the oldest one that waits for a request: a client that opens idle
+    connections locks nobody out, not even others behind its own address.
     """
 
-    def __init__(self, *, per_address: int, in_all: int, unlimited: Iterable[Network] = ()) -> None:
+    def __init__(self, *, per_address: int, total: int, unlimited: Iterable[Network] = ()) -> None:
         self._per_address = per_address
-        self._in_all = in_all
+        self._total = total
         self._unlimited = tuple(unlimited)
-        self._of_address: dict[str, dict[LimitedHttp, None]] = defaultdict(dict)
+        self._by_address: dict[str, dict[LimitedHttp, None]] = defaultdict(dict)
         self._all: dict[LimitedHttp, None] = {}
 
     def add(self, connection: "LimitedHttp", peer: str) -> bool:
-        """Count a new connection; False where there is no room for it and none to be made."""
+        """Register a connection; False if the limit is reached and no connection is idle."""
         address = self._limited_address(peer)
-        siblings = self._of_address[address] if address is not None else {}
+        siblings = self._by_address[address] if address is not None else {}
         if address is not None and len(siblings) >= self._per_address and not _close_idle(siblings):
             return False
-        if len(self._all) >= self._in_all and not _close_idle(self._all):
+        if len(self._all) >= self._total and not _close_idle(self._all):
             return False
         self._all[connection] = None
         if address is not None:
-            self._of_address[address][connection] = None
+            self._by_address[address][connection] = None
         return True
 
     def remove(self, connection: "LimitedHttp", peer: str) -> None:
-        """Count a connection no longer."""
+        """Unregister a connection."""
         self._all.pop(connection, None)
         address = self._limited_address(peer)
-        if address is not None and (siblings := self._of_address.get(address)) is not None:
+        if address is not None and (siblings := self._by_address.get(address)) is not None:
             siblings.pop(connection, None)
             if not siblings:
-                del self._of_address[address]
+                del self._by_address[address]
 
     def _limited_address(self, peer: str) -> str | None:
-        """Return the address under which a peer is counted; None where it may have any number."""
+        """Return the address under which a peer is counted; None if the peer is unlimited."""
         address = parse_address(peer)
         if address is None:
             return peer
@@ -158,8 +158,8 @@ class OpenConnections:
 
 
 def _close_idle(connections: "dict[LimitedHttp, None]") -> bool:
-    """Close the oldest connection whose request has not arrived yet; False where there is none."""
-    oldest = next((each for each in connections if each.is_receiving), None)
+    """Close the oldest connection whose request has not arrived yet; False if there is none."""
+    oldest = next((connection for connection in connections if connection.is_receiving), None)
     if oldest is None:
         return False
     del connections[oldest]
@@ -168,139 +168,139 @@ def _close_idle(connections: "dict[LimitedHttp, None]") -> bool:
 
 
 class LimitedHttp(HttpToolsProtocol):
-    """HTTP/1.1 that closes a connection which sends too much around a body, too slowly, or is one too many."""
+    """HTTP/1.1 that closes connections which exceed a limit."""
 
     open_connections: OpenConnections
-    cycle: RequestResponseCycle | None  # type: ignore[assignment]  # uvicorn begins with None, and does not say so
+    cycle: RequestResponseCycle | None  # type: ignore[assignment]  # None at first, which uvicorn does not declare
     _timer: asyncio.TimerHandle | None = None
     _is_in_head = False
     _is_in_body = False
     _head_bytes = 0
     _body_bytes = 0
-    # Of the message that is arriving: all bytes after its head, and those since the parser last passed a part of it.
-    _sent_bytes = 0
+    # Of the current message: all bytes after its head, and those since the parser last delivered part of the body.
+    _message_bytes = 0
     _unparsed_bytes = 0
-    _body_began_at = 0.0
+    _body_started_at = 0.0
 
     @property
     def is_receiving(self) -> bool:
-        """Whether the connection waits for a request to arrive as a whole, and answers none."""
+        """Whether the connection waits for the rest of a request and sends no response."""
         if self.pipeline:
             return False
         return self._is_in_body or self.cycle is None or bool(self.cycle.response_complete)
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Give the first request its time."""
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # uvicorn's signature
+        """Register the connection and start the timeout of the first request."""
         super().connection_made(transport)
         if not self.open_connections.add(self, self._peer):
-            self.refuse(_NO_ROOM)
+            self.refuse(_TOO_MANY_CONNECTIONS)
             return
-        self._wait_for_head()
+        self._start_head_timeout()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the connection."""
-        self._stop_waiting()
+        """Unregister the connection."""
+        self._cancel_timeout()
         self.open_connections.remove(self, self._peer)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read on, unless too much came of a head, or around a body, that has no end."""
+        """Parse data unless the head or the framing of the body is too large."""
         if self.transport.is_closing():
             return
-        self._sent_bytes += len(data)
+        self._message_bytes += len(data)
         self._unparsed_bytes += len(data)
         super().data_received(data)
         if self.transport.is_closing():
             return
         if self._is_in_head:
             self._head_bytes += len(data)
-            if self._head_bytes > _MOST_HEAD_BYTES:
+            if self._head_bytes > _MAX_HEAD_BYTES:
                 self.refuse(431)
         elif self._is_in_body:
-            framing = self._sent_bytes - self._body_bytes
+            framing = self._message_bytes - self._body_bytes
             if self._unparsed_bytes > _FRAMING_BYTES or framing > (
                 _FRAMING_BYTES + _FRAMING_PER_BODY_BYTE * self._body_bytes
             ):
                 self.refuse(413)
         elif self._timer is None and self.is_receiving:
-            self._wait_for_head()  # empty lines before a request end uvicorn's own time for an idle connection
+            self._start_head_timeout()  # empty lines before a request end uvicorn's keep-alive timeout
 
     def on_message_begin(self) -> None:
-        """Begin a head."""
+        """Start the head of a message."""
         super().on_message_begin()
         self._is_in_head, self._head_bytes = True, 0
-        self._wait_for_head()
+        self._start_head_timeout()
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Take headers, and drop trailers: they come after the request was passed on, and nothing here reads them."""
+        """Pass headers on and drop trailers, which arrive after the request was dispatched."""
         if self._is_in_head:
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """End a head, and begin a body."""
+        """End the head and start the body."""
         self._is_in_head, self._is_in_body = False, True
-        self._sent_bytes = self._body_bytes = self._unparsed_bytes = 0
-        self._body_began_at = time.monotonic()
-        self._wait_for_body()
+        self._message_bytes = self._body_bytes = self._unparsed_bytes = 0
+        self._body_started_at = time.monotonic()
+        self._start_body_timeout()
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Count the bytes of a body."""
+        """Count the bytes of the body."""
         self._body_bytes += len(body)
         self._unparsed_bytes = 0
         super().on_body(body)
 
     def on_chunk_header(self) -> None:
-        """Note that the head of a chunk ended."""
+        """Count framing from the end of a chunk's header."""
         self._unparsed_bytes = 0
 
     def on_message_complete(self) -> None:
-        """End a body."""
+        """End the message."""
         self._is_in_body = False
-        self._stop_waiting()
+        self._cancel_timeout()
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Where a request was answered before all of it had arrived, wait only a little for the rest."""
+        """If the request has not arrived entirely, close the connection soon."""
         super().on_response_complete()
         if self._is_in_body and not self.transport.is_closing():
-            self._stop_waiting()
+            self._cancel_timeout()
             self._timer = self.loop.call_later(_LINGER_S, self.transport.close)
 
     def refuse(self, status: int) -> None:
-        """Close the connection, and say why where a request has begun and its answer has not."""
-        self._stop_waiting()
+        """Close the connection, with an error response if a request has begun and its response has not."""
+        self._cancel_timeout()
         if self.transport.is_closing():
             return
         is_answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
-        if (self._is_in_head or self._is_in_body or status == _NO_ROOM) and not is_answering:
-            self.transport.write(_REFUSALS[status])
+        if (self._is_in_head or self._is_in_body or status == _TOO_MANY_CONNECTIONS) and not is_answering:
+            self.transport.write(_REFUSED_RESPONSES[status])
         self.transport.close()
 
     @property
     def _peer(self) -> str:
         return self.client[0] if self.client else ""
 
-    def _wait_for_head(self) -> None:
-        self._stop_waiting()
-        self._timer = self.loop.call_later(_HEAD_WITHIN_S, self.transport.close)
+    def _start_head_timeout(self) -> None:
+        self._cancel_timeout()
+        self._timer = self.loop.call_later(_HEAD_TIMEOUT_S, self.transport.close)
 
-    def _wait_for_body(self) -> None:
-        self._stop_waiting()
-        self._timer = self.loop.call_later(_BODY_WITHIN_S, self._check_body)
+    def _start_body_timeout(self) -> None:
+        self._cancel_timeout()
+        self._timer = self.loop.call_later(_BODY_TIMEOUT_S, self._check_body)
 
     def _check_body(self) -> None:
-        """Close a connection whose body comes too slowly; its time does not pass while we do not read."""
+        """Close the connection if its body arrives too slowly; paused reading does not count."""
         if self.flow.read_paused:
-            self._body_began_at = time.monotonic()
-        due_at = self._body_began_at + _BODY_WITHIN_S + self._body_bytes / _BODY_BYTES_PER_S
-        left_s = due_at - time.monotonic()
-        if left_s <= 0:
+            self._body_started_at = time.monotonic()
+        due_at = self._body_started_at + _BODY_TIMEOUT_S + self._body_bytes / _BODY_BYTES_PER_S
+        remaining_s = due_at - time.monotonic()
+        if remaining_s <= 0:
             self.refuse(408)
             return
-        self._timer = self.loop.call_later(left_s, self._check_body)
+        self._timer = self.loop.call_later(remaining_s, self._check_body)
 
-    def _stop_waiting(self) -> None:
+    def _cancel_timeout(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
