@@ -39,7 +39,7 @@ _LINKS = 500
 
 
 def upload_ours(project: str, mission: str, *paths: str) -> Facts:
-    """Upload through the SDK, hashed and proven by the store."""
+    """Upload through the SDK, hashed and verified by the store."""
     with connect() as client:
         mission_id = client.missions.get(mission, project=project).id
         started = time.perf_counter()
@@ -117,7 +117,7 @@ async def _join(storage: Storage, files: list[_RawFile]) -> None:
 
 async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:
     async with open_storage(Settings()) as storage:
-        return await work(storage.proving_by(ChecksumKind.crc64nvme))
+        return await work(storage.verifying_by(ChecksumKind.crc64nvme))
 
 
 def download_ours(mission: str, destination: str) -> Facts:

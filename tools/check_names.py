@@ -41,7 +41,7 @@ BANNED = frozenset(
         "odd",
         "oddities",
         "oddity",
-        "proven",
+        "verified",
         "said",
         "told",
         "twin",

@@ -1,6 +1,6 @@
 """The inputs of runs, on this machine's disk: files named by their sha256, which runs get as hard links.
 
-A file's bytes are proven once, while they come. From then on its seal (size, time of change, inode) tells that it is
+A file's bytes are verified once, while they come. From then on its seal (size, time of change, inode) tells that it is
 still that file; it is not read again. What a run uses has more than one name, and is never removed.
 """
 
@@ -77,7 +77,7 @@ class Part:
         self._checksum.update(data)
         self.offset += len(data)
 
-    def prove(self) -> None:
+    def verify(self) -> None:
         """See that all came, and force it to disk.
 
         Raises:
@@ -225,7 +225,7 @@ class Cache:
             raise NoRoom(f"The runner's disk takes nothing: {error.strerror}.") from error
         try:
             fetch(part)
-            part.prove()
+            part.verify()
         finally:
             part.close()
         seal = self._folder / (wanted.sha256 + _SEAL)

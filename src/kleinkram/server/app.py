@@ -21,19 +21,20 @@ from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
-from kleinkram.server.dependencies import asks_who
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.grants.routes import router as grants
 from kleinkram.server.groups.affiliations import ensure_affiliations
 from kleinkram.server.groups.routes import router as groups
+from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.routes import probes
 from kleinkram.server.health.routes import router as service
 from kleinkram.server.home.routes import router as home_summary
-from kleinkram.server.http import Envelope, install_handlers
+from kleinkram.server.http.dependencies import requires_actor
+from kleinkram.server.http.errors import install_error_handlers
+from kleinkram.server.http.middleware import RequestMiddleware
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.local_owner import let_owner_in
@@ -128,11 +129,11 @@ def create_app(settings: Settings) -> FastAPI:
         finally:
             await database.close()
 
-    see_that_all_are_guarded(ROUTERS)
+    require_guards(ROUTERS)
     app = FastAPI(
         title="Kleinkram",
         version=kleinkram.__version__,
-        summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
+        summary="Keeps every recording a robotics lab makes: organised, verified, findable down to the topic.",
         lifespan=lifespan,
         # A Location would be made from the Host header, which is whatever the asker says.
         redirect_slashes=False,
@@ -143,14 +144,14 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.queue = queue
     app.state.looks = Looks()
-    app.add_middleware(Envelope, settings=settings)
-    install_handlers(app)
+    app.add_middleware(RequestMiddleware, settings=settings)
+    install_error_handlers(app)
     for router in ROUTERS:
         app.include_router(router)
     return app
 
 
-def see_that_all_are_guarded(routers: Sequence[APIRouter]) -> None:
+def require_guards(routers: Sequence[APIRouter]) -> None:
     """See that each route asks who comes and has said what it takes, or is one of the few that are for everybody.
 
     Looks at the routers themselves: what an app makes of them is the framework's own affair.
@@ -159,7 +160,7 @@ def see_that_all_are_guarded(routers: Sequence[APIRouter]) -> None:
         RuntimeError: one does neither; names it.
     """
     for route in (route for router in routers for route in router.routes):
-        is_guarded = isinstance(route, APIRoute) and asks_who(route) and route.operation_id in OPERATIONS
+        is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS
         path = getattr(route, "path", str(route))
         if not is_guarded and path not in OPEN_PAGES:
             raise RuntimeError(f"{path} has no row in access/operations.py, or does not ask who comes")

@@ -31,7 +31,7 @@ from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.proxy_check import HEADER, Seen, proof
-from kleinkram.server.jobs.heartbeat import find_workers
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.logs import quiet_libraries
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.probe import probe

@@ -13,7 +13,7 @@ from kleinkram.server.settings import Settings
 from kleinkram.server.storage import Storage, StoreRefused
 
 _log = logging.getLogger("kleinkram.store")
-# What pages read of an answer beside its body: proof of a part, and which bytes of how many came.
+# What pages read of an answer beside its body: checksum of a part, and which bytes of how many came.
 _TOLD = ("ETag", "Content-Length", "Content-Range", "Accept-Ranges")
 _GOOD_FOR_S = 3600
 

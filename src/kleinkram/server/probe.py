@@ -1,4 +1,4 @@
-"""The start-up probe: find out how this store proves what it receives, by trying to deceive it."""
+"""The start-up probe: find out how this store verifies what it receives, by trying to deceive it."""
 
 import base64
 import hashlib
@@ -23,14 +23,14 @@ _OTHER = b"kleinkram probes what this store VERIFIES"
 
 
 async def probe(storage: Storage) -> Abilities:
-    """Return what the store can do: the strongest proof it gives, and whether it keeps an object from being rewritten.
+    """Return what the store can do: the strongest checksum it verifies, and whether it refuses to overwrite an object.
 
     Raises:
         StoreUnavailable: the store does not answer, or verifies nothing at all, so that nothing may be kept in it.
     """
     await storage.check()
     for kind in (ChecksumKind.crc64nvme, ChecksumKind.sha256, ChecksumKind.md5):
-        if await _refuses_wrong(storage, kind) and await _proves_parts(storage.proving_by(kind)):
+        if await _refuses_wrong(storage, kind) and await _verifies_parts(storage.verifying_by(kind)):
             return Abilities(kind, writes_once=await _writes_once(storage))
     raise StoreUnavailable(reason="it accepts bytes that differ from their checksum, so it cannot keep recordings safe")
 
@@ -75,11 +75,11 @@ def _stated(kind: ChecksumKind, body: bytes) -> dict[str, str]:
     return {CHECKSUM_HEADERS[kind]: base64.b64encode(digest).decode()}
 
 
-async def _proves_parts(storage: Storage) -> bool:
+async def _verifies_parts(storage: Storage) -> bool:
     """Say whether wrong parts are refused and right ones joined: what holds for whole objects need not for parts."""
     try:
         return await _refuses_wrong_part(storage) and await _joins_right_part(storage)
-    except StoreRefused:  # it opens no multipart upload that is to be proven so
+    except StoreRefused:  # it opens no multipart upload with this checksum
         return False
 
 

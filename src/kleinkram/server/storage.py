@@ -72,7 +72,7 @@ class PartTarget:
 class Abilities:
     """What a store can do, as the start-up probe found.
 
-    `checksum`: how it proves what it receives. `writes_once`: it refuses to write an object that exists.
+    `checksum`: how it verifies what it receives. `writes_once`: it refuses to write an object that exists.
     """
 
     checksum: ChecksumKind
@@ -103,7 +103,7 @@ class Storage:
 
     @property
     def checksum(self) -> ChecksumKind:
-        """How the store proves what it receives."""
+        """How the store verifies what it receives."""
         return self.abilities.checksum
 
     async def check(self) -> None:
@@ -189,7 +189,7 @@ class Storage:
         """Return where a client puts one part. Length and checksum (hex) are signed: other bytes are refused.
 
         The address of a whole object is good for one write where the store can promise that, so that it cannot be used
-        to replace what was proven meanwhile. A part's dies with its multipart upload.
+        to replace what was verified meanwhile. A part's dies with its multipart upload.
         """
         checksum = base64.b64encode(bytes.fromhex(target.checksum)).decode()
         headers = {CHECKSUM_HEADERS[self.checksum]: checksum, "Content-Length": str(target.size_bytes)}
@@ -372,8 +372,8 @@ class Storage:
         except LOST:
             return False
 
-    def proving_by(self, checksum: ChecksumKind) -> "Storage":
-        """Return the same store, asked for another kind of proof."""
+    def verifying_by(self, checksum: ChecksumKind) -> "Storage":
+        """Return the same store, asked for another kind of verification."""
         return Storage(self._s3, self._signers, replace(self.abilities, checksum=checksum))
 
     def with_abilities(self, abilities: Abilities) -> "Storage":

@@ -19,7 +19,7 @@ from kleinkram.server.storage import Storage, open_storage
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
-# What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
+# What a restored site resets: nothing is verified at its store yet, and no upload or run is active there.
 ANEW = {
     "blob": ("state", "state_reason", "damaged_at"),
     "upload": ("state", "completing_since"),

@@ -41,7 +41,7 @@ def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mi
 
 
 def test_headers_that_an_uploader_sends_do_not_come_back(api: Api, mission: str) -> None:
-    # A browser unpacks what the store calls packed, and would save other bytes than those that were proven; a proxy
+    # A browser unpacks what the store calls packed, and would save other bytes than those that were verified; a proxy
     # keeps what it calls public.
     body = b"these bytes are not packed at all"
     (decision,) = begin(api, mission, {"a.mcap": body})

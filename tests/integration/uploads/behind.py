@@ -57,7 +57,7 @@ async def _result(ready: "asyncio.Future[AppContext]") -> AppContext:
     return await ready
 
 
-async def prove_all(context: AppContext) -> None:
+async def verify_all(context: AppContext) -> None:
     """Read every blob, as the worker does on its last try. All are bytes and no recording: nothing reads along."""
     async with context.database.begin() as db:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
@@ -68,4 +68,4 @@ async def prove_all(context: AppContext) -> None:
         job = SimpleNamespace(attempts=99, priority=0)
         job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
         for blob_id in rows:
-            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(job_context, ref=str(blob_id))
+            await cast("Callable[..., Awaitable[None]]", jobs.verify_blob.func)(job_context, ref=str(blob_id))

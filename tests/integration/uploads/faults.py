@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, cast
 
 from kleinkram.server.blobs import jobs, queries, scrubbing, service
-from kleinkram.server.blobs.proving import Found
+from kleinkram.server.blobs.verification import Found
 from kleinkram.server.uploads import completion, joining, rules
 from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
@@ -63,7 +63,7 @@ def live(life: Machine, history: str) -> None:
         "delete": lambda: life.delete(0),
         "restore": lambda: life.restore(0),
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
-        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.prove, life.scrub)},
+        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.verify, life.scrub)},
         "empty trash": life.empty_trash,
     }
     for step in history.split(", "):
@@ -167,10 +167,10 @@ FAULTS = [
     Fault(
         "what is known to be lost is linked",
         upload_queries._trusted_by,
-        "& (proven | own)",
+        "& (verified | own)",
         "",
         "_see_that_it_can_be_read",
-        "bring, object gone, prove, bring twin",
+        "bring, object gone, verify, bring twin",
     ),
     Fault(
         "what is lost counts as being there",
@@ -178,15 +178,15 @@ FAULTS = [
         "existing.state in UNREADABLE",
         "False",
         "_see_that_it_can_be_read",
-        "bring, object gone, prove, bring",
+        "bring, object gone, verify, bring",
     ),
     Fault(
-        "the proof does not compare",
+        "the verification does not compare",
         Found.differs_from,
         "if self.size_bytes",
         "if True:\n        return None\n    if self.size_bytes",
         "_see_what_is_told",
-        "bring, object altered, prove",
+        "bring, object altered, verify",
     ),
     Fault(
         "the scrub does not compare sizes",
@@ -197,11 +197,11 @@ FAULTS = [
         "bring, object cut, scrub",
     ),
     Fault(
-        "what was proven again is still said to be lost",
-        service.keep_proofs,
-        '"state": BlobState.proven.value, "state_reason"',
+        "what was verified again is still said to be lost",
+        service.record_verified,
+        '"state": BlobState.verified.value, "state_reason"',
         '"state_reason"',
         "_see_what_is_told",
-        "bring, object gone, prove, object whole, prove",
+        "bring, object gone, verify, object whole, verify",
     ),
 ]

@@ -14,7 +14,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.uploads.jobs import tend_uploads
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, sha256
-from tests.integration.uploads.behind import SiteThread, prove_all
+from tests.integration.uploads.behind import SiteThread, verify_all
 
 _PAGE = Path(__file__).parents[3] / "docs" / "states.md"
 _PATHS = ("a.bin", "b.bin", "c/d.bin")
@@ -167,10 +167,10 @@ class Machine(RuleBasedStateMachine):
             self.context.run(jobs.sweep_once)
 
     @rule()
-    def prove(self) -> None:
+    def verify(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
-        self.context.run(prove_all)
-        self._see_what_is_told({"whole": "proven", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self.context.run(verify_all)
+        self._see_what_is_told({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
@@ -234,9 +234,9 @@ class Machine(RuleBasedStateMachine):
             harm = self.done_to.get(key)
             if harm is None:
                 assert listed.get(key) == size_bytes
-                assert state in {"stored", "proven"}
+                assert state in {"stored", "verified"}
             elif harm != "whole":
-                assert state in {"stored", "proven", "lost", "corrupt"}
+                assert state in {"stored", "verified", "lost", "corrupt"}
 
     @invariant()
     def every_object_is_known(self) -> None:
@@ -313,7 +313,7 @@ class Machine(RuleBasedStateMachine):
     def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
         """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
         [file] = [each for each in self._files() if each["path"] == path]
-        assert (file["sha256"], file["state"] in {"stored", "proven"}) == (sha256(body), True)
+        assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
     def _see_what_is_told(self, said: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():

@@ -104,12 +104,12 @@ def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.Fixt
 
 
 @pytest.mark.parametrize("size_bytes", [0, 100, 2 * _PART + 5])
-def test_a_file_comes_back_as_it_went_and_is_proven(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_a_file_comes_back_as_it_went_and_is_verified(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     status, read = fetch(link["url"])
     assert (status, read == body) == (200, True)

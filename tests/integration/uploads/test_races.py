@@ -112,7 +112,7 @@ def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
 
     async def twins(*of: Any) -> Any:
         found = await real(*of)
-        api.sql("UPDATE blob SET state = 'proven', md5 = %s, proven_at = now() WHERE id = %s", bytes(16), blob_id)
+        api.sql("UPDATE blob SET state = 'verified', md5 = %s, verified_at = now() WHERE id = %s", bytes(16), blob_id)
         return found
 
     monkeypatch.setattr(queries, "twins", twins)

@@ -27,7 +27,7 @@ def _known(**changes: Any) -> Known:
     return Known(**(values | changes))
 
 
-def _existing(*, state: str = "proven", path: str = "run.mcap") -> Any:
+def _existing(*, state: str = "verified", path: str = "run.mcap") -> Any:
     return SimpleNamespace(id=_ID, path=path, size_bytes=10, sha256=bytes.fromhex(_SHA), state=state)
 
 

@@ -61,7 +61,7 @@ class WholeHash:
 
 
 def new_checksum(kind: ChecksumKind) -> Checksum:
-    """Return an empty checksum of the kind that the store proves parts by."""
+    """Return an empty checksum of the kind that the store verifies parts by."""
     if kind is ChecksumKind.crc64nvme:
         return Crc64()
     if kind is ChecksumKind.sha256:

@@ -26,8 +26,8 @@ from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.http.etags import require_match
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version
 

@@ -29,8 +29,8 @@ from kleinkram.server.blobs import scrubs
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.home.service import is_low, store_use
-from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
 from kleinkram.server.settings import Settings, is_secret
@@ -89,8 +89,8 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     return ScrubState(
         last=None if last is None else _scrub(last),
         every_hours=settings.scrub_hours,
-        again_after_days=settings.prove_again_days,
-        oldest_proof_at=await scrubs.oldest_proof_at(db),
+        again_after_days=settings.reverify_days,
+        oldest_verification_at=await scrubs.oldest_verification_at(db),
         blobs=[_amount(row.state, row) for row in rows],
     )
 

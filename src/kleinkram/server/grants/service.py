@@ -28,7 +28,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.grants import queries
 from kleinkram.server.grants.access import access_on, to_access
 from kleinkram.server.grants.queries import Place
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import access_grant, access_group, person
 
 

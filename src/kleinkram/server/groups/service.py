@@ -28,9 +28,9 @@ from kleinkram.server.access.rights import hold_rights
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
 from kleinkram.server.groups import queries
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.http.etags import require_match
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_group, membership, person
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
 from kleinkram.server.db import Database
-from kleinkram.server.jobs.heartbeat import find_workers
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.storage import Storage
 

@@ -113,13 +113,13 @@ async def _runs_that_cannot_start(db: Connection, actor: Actor) -> list[Row[Any]
 
 async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     failed = (await db.execute(queries.failed_jobs())).scalar_one()
-    late = (await db.execute(queries.late_proofs())).scalar_one()
+    late = (await db.execute(queries.overdue_verifications())).scalar_one()
     stopped = (await db.execute(queries.stopped_scrubs(settings.store_id))).scalar_one()
     counts = {
         Need.scrub_stopped: stopped,
         Need.disk_low: int(is_low(settings)),
         Need.jobs_failed: failed,
-        Need.proofs_late: late,
+        Need.verifications_overdue: late,
     }
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 

@@ -11,7 +11,7 @@ from kleinkram.contract.runs import LogChunkRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub, Topic
+from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.runs import reading
 from kleinkram.server.tables import blob, log_chunk, run
 from kleinkram.server.tables.run import ACTIVE
@@ -46,11 +46,11 @@ async def read_log(
     if not wait_s:
         return await _read_now(context, actor, run_id, offset)
     until = time.monotonic() + wait_s
-    with hub.long_poll(actor.person_id or actor.share_id, Topic(_LOG_NOUNS, run_id)) as listener:
+    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_NOUNS, run_id)) as listener:
         piece = await _read_now(context, actor, run_id, offset)
-        while not (piece.text or piece.is_over or hub.is_over) and (left_s := until - time.monotonic()) > 0:
-            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
-            async with hub.looking:  # however many wait, most connections are left to others
+        while not (piece.text or piece.is_over or hub.is_closed) and (left_s := until - time.monotonic()) > 0:
+            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
+            async with hub.rights_checks:  # however many wait, most connections are left to others
                 piece = await _read_now(context, actor, run_id, offset)
         return piece
 

@@ -28,7 +28,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.tables import run, run_artifact

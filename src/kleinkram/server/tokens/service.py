@@ -27,7 +27,7 @@ from kleinkram.server.access.rights import hold_person, require_fresh_sign_in, s
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection
-from kleinkram.server.pages import PageRequest, Rows, fetch_page
+from kleinkram.server.paging import PageRequest, Rows, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import token, token_limit
 from kleinkram.server.tokens import queries

@@ -140,5 +140,5 @@ async def make_artifacts(db: Connection, run_id: uuid.UUID, rows: Sequence[Row[A
             await db.execute(update(run).where(run.c.id == run_id).values(log_blob_id=blob_ids[row.id]))
     done = update(upload).where(among(upload.c.id, blob_ids))
     await db.execute(done.values(state=UploadState.done.value, cleaned_at=func.now()))
-    await enqueue(db, Job.prove_blob, ids=[str(each) for each in blob_ids.values()], urgency=Urgency.whenever)
+    await enqueue(db, Job.verify_blob, ids=[str(each) for each in blob_ids.values()], urgency=Urgency.whenever)
     return {}

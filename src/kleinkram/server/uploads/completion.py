@@ -36,10 +36,9 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs.service import examine_blobs
-from kleinkram.server.bulk import insert_rows, unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions

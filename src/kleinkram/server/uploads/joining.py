@@ -24,7 +24,7 @@ async def join_at_store(storage: Storage, rows: Sequence[Row[Any]]) -> Failures:
 
     async def join(row: Row[Any]) -> tuple[uuid.UUID, KleinkramError | None]:
         async with gate:
-            return row.id, await _join_parts(storage.proving_by(ChecksumKind(row.checksum)), row)
+            return row.id, await _join_parts(storage.verifying_by(ChecksumKind(row.checksum)), row)
 
     failures = await _find_whole(storage, [row for row in rows if not is_multipart(row)])
     for upload_id, error in await asyncio.gather(*(join(row) for row in rows if is_multipart(row))):

@@ -10,8 +10,7 @@ from sqlalchemy import Row, select
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
-from kleinkram.server.bulk import upsert_rows
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, upsert_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file
@@ -63,7 +62,7 @@ async def link_twins(
     ]
     await record_all(db, actor, events)
     await regroup(db, mission_id)
-    # What was unreadable a moment ago may have been proven since: then it is as good as the twin.
+    # What was unreadable a moment ago may have been verified since: then it is as good as the twin.
     healed = [name_key(d.wanted.path) for d in linked if d.wanted.path not in made]
     there = await queries.live_files(db, mission_id, healed) if healed else {}
     return [_linked(d, made, there) if d.way is Way.link else d for d in decisions]

@@ -80,9 +80,9 @@ async def twins(db: Connection, actor: Actor, hashes: Collection[Content]) -> di
 
 def _trusted_by(actor: Actor) -> ColumnElement[bool]:
     # A hash that somebody else only claims must not hand out their bytes, nor lend ours to their name.
-    proven = blob.c.state == BlobState.proven.value
+    verified = blob.c.state == BlobState.verified.value
     own = (blob.c.state == BlobState.stored.value) & (blob.c.uploaded_by_id == actor.person_id)
-    return blob.c.doomed_at.is_(None) & (proven | own)
+    return blob.c.doomed_at.is_(None) & (verified | own)
 
 
 def _read_by(actor: Actor) -> ColumnElement[bool]:

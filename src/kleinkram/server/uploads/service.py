@@ -36,14 +36,13 @@ from kleinkram.contract.uploads import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.bulk import upsert_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.tables import mission, upload
 from kleinkram.server.tables.upload import UNDER_WAY

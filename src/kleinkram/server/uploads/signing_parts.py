@@ -22,9 +22,9 @@ from kleinkram.contract.uploads import (
     part_size_bytes,
 )
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.bulk import unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
+from kleinkram.server.db import unnest_rows
 from kleinkram.server.settings import Settings
 from kleinkram.server.storage import PartTarget, Storage
 from kleinkram.server.tables import upload
@@ -96,7 +96,7 @@ def _check_signable(row: Row[Any] | None, part: PartToSign) -> None:
         raise UploadGone(upload_id=str(part.upload_id))
     digits = CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
     if len(part.checksum) != digits:
-        message = f"{row.path!r} is proven by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
+        message = f"{row.path!r} is verified by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
         raise InvalidRequest(problems=[FieldProblem(field="parts.checksum", message=message)])
     if not is_multipart(row) and row.signed_checksum not in {None, part.checksum}:
         raise UploadGone(upload_id=str(part.upload_id))
@@ -118,7 +118,7 @@ def first_checksum(storage: Storage, wanted: UploadFile) -> str | None:
 
 def sign_first(context: AppContext, row: Row[Any], wanted: UploadFile) -> SignedPart | None:
     """Return where the only part of a file goes, once the row says that it is signed for what is announced."""
-    checksum = first_checksum(context.storage.proving_by(ChecksumKind(row.checksum)), wanted)
+    checksum = first_checksum(context.storage.verifying_by(ChecksumKind(row.checksum)), wanted)
     if checksum is None or row.signed_checksum != checksum:
         return None
     return _sign(context, row, PartToSign(upload_id=row.id, number=1, checksum=checksum), _end(context.settings))
@@ -131,7 +131,7 @@ def _end(settings: Settings) -> datetime.datetime:
 def _sign(context: AppContext, row: Row[Any], part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
     size_bytes = expected_part_bytes(row, part.number)
     target = PartTarget(row.key, row.multipart_id, part.number, size_bytes, part.checksum)
-    storage = context.storage.proving_by(ChecksumKind(row.checksum))
+    storage = context.storage.verifying_by(ChecksumKind(row.checksum))
     signed = storage.sign_part(target, expires_s=context.settings.part_url_s)
     return SignedPart(
         upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at

@@ -24,7 +24,7 @@ from kleinkram.recordings.decoding import (
     to_plain,
     typed_rows,
 )
-from kleinkram.recordings.reading.recording import Recording
+from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\
