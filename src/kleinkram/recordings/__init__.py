@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.formats.base import sniff
+    from kleinkram.recordings.formats.registry import sniff
     from kleinkram.recordings.formats.rosbag2.metadata import (
         MemberFacts,
         Rosbag2Metadata,
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         compare_metadata,
         parse_rosbag2_metadata,
     )
-    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
+    from kleinkram.recordings.grouping import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
@@ -53,11 +53,11 @@ if TYPE_CHECKING:
     from kleinkram.recordings.sources import (
         CountingSource,
         FileSource,
-        Forward,
+        SequentialReader,
         Source,
-        from_file,
-        from_pipe,
-        from_source,
+        file_reader,
+        pipe_reader,
+        source_reader,
     )
     from kleinkram.recordings.summary import scan, summarise
 
@@ -71,16 +71,16 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
-    "Forward",
-    "GroupKind",
     "Lost",
     "MemberFacts",
     "Problem",
     "RecordingError",
     "RecordingFormat",
     "RecordingGroup",
+    "RecordingGroupKind",
     "RecordingSummary",
     "Rosbag2Metadata",
+    "SequentialReader",
     "Source",
     "SourceError",
     "StreamRequest",
@@ -90,19 +90,19 @@ __all__ = [
     "UrlRequest",
     "combine",
     "compare_metadata",
+    "file_reader",
     "from_dict",
-    "from_file",
-    "from_pipe",
-    "from_source",
     "group",
     "is_recording_name",
     "metadata_request_bytes",
     "parse_rosbag2_metadata",
+    "pipe_reader",
     "read_answer",
     "read_metadata_answer",
     "request_bytes",
     "scan",
     "sniff",
+    "source_reader",
     "stream_request_bytes",
     "summarise",
     "summarise_isolated",
@@ -113,8 +113,16 @@ __all__ = [
 _HOMES = {
     "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "sources": ("CountingSource", "FileSource", "Forward", "Source", "from_file", "from_pipe", "from_source"),
-    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "sources": (
+        "CountingSource",
+        "FileSource",
+        "SequentialReader",
+        "Source",
+        "file_reader",
+        "pipe_reader",
+        "source_reader",
+    ),
+    "grouping": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",
@@ -139,7 +147,7 @@ _HOMES = {
         "compare_metadata",
         "parse_rosbag2_metadata",
     ),
-    "formats.base": ("sniff",),
+    "formats.registry": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

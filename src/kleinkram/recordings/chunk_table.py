@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNKS
-from kleinkram.recordings.message_counts import Stretches
+from kleinkram.recordings.message_counts import ReadableRanges
 from kleinkram.recordings.messages import Selection
 
 MAX_SET_BYTES = 16 * 2**20
@@ -51,7 +51,7 @@ class ChannelSets:
 RowT = TypeVar("RowT", bound=tuple[int, ...])
 
 
-class PackedTable(Generic[RowT]):
+class Int64Table(Generic[RowT]):
     """Rows of numbers from 0 to 2^64 - 1; `make` builds a row (a NamedTuple of `columns` numbers) again."""
 
     def __init__(self, make: Callable[..., RowT], columns: int) -> None:
@@ -131,8 +131,8 @@ class StoredChunk(NamedTuple):
 class Row(NamedTuple):
     """A piece of a file: [start, start + length). Times are inclusive; `uncompressed_bytes` may be a guess.
 
-    `end`: behind what belongs to it, such as its message indexes. `kind`: as in `Place`. `stored_bytes`, `messages`:
-    `UNKNOWN` where the index does not say.
+    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `stored_bytes`, `messages`: `UNKNOWN` where the
+    index does not say.
     """
 
     start: int
@@ -152,11 +152,11 @@ class ChunkTable:
     """The chunks of one file, in the order of the file.
 
     Attributes:
-        stretches: of the content of damaged chunks, by their start: what can be followed; see `listening.Place`.
+        readable_ranges: of damaged chunks, by their start: the ranges of the content that can be read.
     """
 
-    rows: PackedTable[Row] = field(default_factory=lambda: PackedTable(Row, len(Row._fields)))
-    stretches: dict[int, Stretches] = field(default_factory=dict)
+    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
+    readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
     sets: ChannelSets = field(default_factory=ChannelSets)
 
     def known_channels(self) -> frozenset[int]:
@@ -169,13 +169,15 @@ class ChunkTable:
         first_ns = min((row.first_ns for row in rows), default=None)
         return first_ns, max((row.last_ns for row in rows), default=None)
 
-    def select(self, selection: Selection, wanted: frozenset[int]) -> array[int]:
+    def select(self, selection: Selection, channel_ids: frozenset[int]) -> array[int]:
         """Return the numbers of the rows that may hold what is wanted, by their first time, then by place."""
-        hits = [number == ANY_CHANNEL or bool(members & wanted) for number, members in enumerate(self.sets.members)]
+        hits = [
+            number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
+        ]
         columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
         start_ns, end_ns = selection.start_ns, selection.end_ns
         firsts, lasts, sets = columns
-        found = array(
+        numbers = array(
             "Q",
             (
                 number
@@ -183,6 +185,6 @@ class ChunkTable:
                 if first_ns < end_ns and last_ns >= start_ns and hits[members]
             ),
         )
-        if any(firsts[after] < firsts[before] for before, after in pairwise(found)):
-            found = array("Q", sorted(found, key=firsts.__getitem__))
-        return found
+        if any(firsts[after] < firsts[before] for before, after in pairwise(numbers)):
+            numbers = array("Q", sorted(numbers, key=firsts.__getitem__))
+        return numbers

@@ -24,8 +24,8 @@ from kleinkram.recordings.model import (
     TopicSummary,
     counted,
 )
-from kleinkram.recordings.timeline import LEAST_JUMP_NS, Run, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, name_oddities, rate_hz
+from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, rate_hz
 
 _WORST_FIRST = (
     Content.error,
@@ -77,11 +77,11 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
                 *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
                 *_changed_types(summaries),
                 *jumps,
-                *name_oddities(
+                *find_quality_warnings(
                     topics,
                     island.last_ns - island.first_ns if island else None,
                     longest_silence_ns=0
-                    if jumps or any(one.code == _CLOCK_JUMP for each in summaries for one in each.problems)
+                    if jumps or any(one.code == _CLOCK_JUMP for summary in summaries for one in summary.problems)
                     else None,
                 ),
             ]
@@ -110,9 +110,9 @@ def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
         for topic in summary.topics:
             types[topic.name][topic.message_type] = None
     return [
-        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(found)}")
-        for name, found in sorted(types.items())
-        if len(found) > 1
+        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(type_names)}")
+        for name, type_names in sorted(types.items())
+        if len(type_names) > 1
     ]
 
 
@@ -144,12 +144,12 @@ def _content(contents: set[Content]) -> Content:
 
 def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str | None:
     """Return why the whole is not whole: the worst member's reason, and how many others have one."""
-    told = [number for number, summary in enumerate(summaries) if summary.reason]
-    if not told:
+    numbers_with_reason = [number for number, summary in enumerate(summaries) if summary.reason]
+    if not numbers_with_reason:
         return None
-    worst = min(told, key=lambda number: _WORST_FIRST.index(summaries[number].content))
+    worst = min(numbers_with_reason, key=lambda number: _WORST_FIRST.index(summaries[number].content))
     name = f"{names[worst]}: " if names else ""
-    others = f" (and {len(told) - 1} more files are not whole)" if len(told) > 1 else ""
+    others = f" (and {len(numbers_with_reason) - 1} more files are not whole)" if len(numbers_with_reason) > 1 else ""
     return f"{name}{summaries[worst].reason}{others}"
 
 
@@ -171,14 +171,14 @@ def _total(counts: Iterable[int | None]) -> int | None:
     return total
 
 
-def _span(summary: RecordingSummary) -> Run | None:
+def _span(summary: RecordingSummary) -> StampRun | None:
     if summary.start_ns is None or summary.end_ns is None:
         return None
     counted = sum((topic.count or 0) - topic.suspect_count for topic in summary.topics)
-    return Run(summary.start_ns, summary.end_ns, counted, 0)
+    return StampRun(summary.start_ns, summary.end_ns, counted, 0)
 
 
-def _combine_topics(summaries: Sequence[RecordingSummary], island: Run | None) -> tuple[TopicSummary, ...]:
+def _combine_topics(summaries: Sequence[RecordingSummary], island: StampRun | None) -> tuple[TopicSummary, ...]:
     by_name: dict[str, list[TopicSummary]] = defaultdict(list)
     for summary in summaries:
         for topic in summary.topics:
@@ -186,7 +186,7 @@ def _combine_topics(summaries: Sequence[RecordingSummary], island: Run | None) -
     return tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
 
 
-def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummary:
+def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicSummary:
     runs = join(run for part in parts if (run := _run(part)) is not None)
     run = within(runs, island)
     count = _total(part.count for part in parts)
@@ -206,10 +206,10 @@ def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummar
     )
 
 
-def _run(topic: TopicSummary) -> Run | None:
+def _run(topic: TopicSummary) -> StampRun | None:
     if topic.first_ns is None or topic.last_ns is None or topic.count is None:
         return None
-    return Run(
+    return StampRun(
         topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0, topic.density
     )
 

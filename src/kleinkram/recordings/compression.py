@@ -13,7 +13,7 @@ import zstandard
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
-from kleinkram.recordings.streams import ForwardStream, Refill
+from kleinkram.recordings.streams import ByteStream, Refill
 
 _LEAST_ZEROS = 64
 Buffer = bytes | memoryview
@@ -40,21 +40,21 @@ def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed 
     return None
 
 
-def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ForwardStream:
+def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ByteStream:
     """Decompress what `read` returns; `name` as MCAP or a bag spells it.
 
     Raises:
         Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
     """
     if name in ("", "none"):
-        return ForwardStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
+        return ByteStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
     if name == "bz2":
-        return ForwardStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
+        return ByteStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
     if name == "zstd":
-        return ForwardStream(_bounded(_zstd(read), uncompressed_bytes))
+        return ByteStream(_bounded(_zstd(read), uncompressed_bytes))
     if name == "lz4":
         decompressor = lz4.frame.LZ4FrameDecompressor()
-        return ForwardStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
+        return ByteStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
     raise unknown_compression(name)
 
 
@@ -94,11 +94,11 @@ def without_zero_tail(name: str, stored: bytes) -> bytes | None:
     """Return compressed data without the zeros at their end; None if they do not end in so many that a disk must have
     lost them.
     """
-    kept = stored.rstrip(b"\0")
-    return kept if name not in ("", "none") and len(stored) - len(kept) >= _LEAST_ZEROS else None
+    without_zeros = stored.rstrip(b"\0")
+    return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _LEAST_ZEROS else None
 
 
-def _beginning_of(stream: ForwardStream) -> bytes:
+def _beginning_of(stream: ByteStream) -> bytes:
     pieces: list[bytes] = []
     with suppress(Malformed):
         pieces.extend(iter(stream.take_some, b""))
@@ -155,7 +155,7 @@ def _bounded(refill: Refill, most: int) -> Refill:
     return refill_bounded
 
 
-class _Reading:
+class _ZstdInput:
     """The little of a file that zstandard's reader asks for; notes the window that the first frame wants."""
 
     def __init__(self, read: ReadUpTo) -> None:
@@ -175,7 +175,7 @@ class _Reading:
 
 def _zstd(read: ReadUpTo) -> Refill:
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-    reading = _Reading(read)
+    reading = _ZstdInput(read)
     reader = decompressor.stream_reader(reading, read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
 
     def refill() -> bytes:
@@ -238,7 +238,7 @@ class ZstdFrames:
 
     def __init__(self) -> None:
         self._head = b""
-        self._wanted = 4
+        self._head_bytes = 4
         self._skip = 0
         self._step: Callable[[bytes], None] = self._on_magic
         self._checksum_bytes = 0
@@ -257,15 +257,15 @@ class ZstdFrames:
                 self._skip -= passed
                 at += passed
                 continue
-            piece = data[at : at + self._wanted - len(self._head)]
+            piece = data[at : at + self._head_bytes - len(self._head)]
             self._head += piece
             at += len(piece)
-            if len(self._head) == self._wanted:
+            if len(self._head) == self._head_bytes:
                 head, self._head = self._head, b""
                 self._step(head)
 
-    def _next(self, step: Callable[[bytes], None], wanted: int, *, skip: int = 0) -> None:
-        self._step, self._wanted, self._skip = step, wanted, skip
+    def _next(self, step: Callable[[bytes], None], head_bytes: int, *, skip: int = 0) -> None:
+        self._step, self._head_bytes, self._skip = step, head_bytes, skip
 
     def _on_magic(self, head: bytes) -> None:
         if head[1:] == b"\x2a\x4d\x18" and head[0] >> 4 == 5:

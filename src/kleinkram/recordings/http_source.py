@@ -28,7 +28,7 @@ READ_TIMEOUT_S = 30.0
 _Place = tuple[str, str, "int | None"]
 
 
-class Connections:
+class HttpConnections:
     """At most `most` idle connections. Safe to share between threads."""
 
     def __init__(self, most: int) -> None:
@@ -170,7 +170,7 @@ class HttpSource:
         *,
         size_bytes: int,
         name: str,
-        connections: Connections | None = None,
+        connections: HttpConnections | None = None,
         renew: Callable[[], str] | None = None,
         check: Callable[[], None] | None = None,
     ) -> None:
@@ -184,7 +184,7 @@ class HttpSource:
         self._renew = renew
         self._check = check
         self._renewing = threading.Lock()
-        self._connections = connections or Connections(PARALLEL_READS)
+        self._connections = connections or HttpConnections(PARALLEL_READS)
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; a lost connection or a 5xx is tried again.

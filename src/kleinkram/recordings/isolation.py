@@ -88,8 +88,8 @@ def request_bytes(
     timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> bytes:
     """Return the line that the child reads from stdin, without its newline. `most_bytes`: as `summarise`."""
-    wanted = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
-    return json.dumps({**vars(request), **wanted}).encode()
+    options = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    return json.dumps({**vars(request), **options}).encode()
 
 
 def stream_request_bytes(

@@ -8,17 +8,17 @@ from typing import Protocol
 
 from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
 from kleinkram.recordings.chunk_table import ChunkTable
-from kleinkram.recordings.damage_report import Noticed
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import TooCostly
 from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
-from kleinkram.recordings.merge import Piece
+from kleinkram.recordings.merge import MessagePiece
 from kleinkram.recordings.messages import Channel, Selection
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.sources import Source
 
 
 @dataclass(frozen=True)
-class Contents:
+class MemberContents:
     """What a file says of itself without being read; None: it does not say.
 
     Attributes:
@@ -39,14 +39,14 @@ class Member(Protocol):
     """One file of a recording."""
 
     @property
-    def contents(self) -> Contents:
+    def contents(self) -> MemberContents:
         """What it says of itself."""
 
     @property
     def summary(self) -> RecordingSummary | None:
         """What is in it, if it was read from end to end to be opened."""
 
-    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
         """Yield what may hold the messages that are wanted, by first time."""
 
 
@@ -65,30 +65,30 @@ class ChunkedMember:
         source: Source,
         chunk_format: ChunkFormat,
         table: ChunkTable,
-        contents: Contents,
-        noticed: Noticed,
+        contents: MemberContents,
+        problem_log: ProblemLog,
         *,
         summary: RecordingSummary | None = None,
         with_index_check: bool = False,
         claimed_span: tuple[int | None, int | None] = (None, None),
     ) -> None:
-        check = IndexCheck(source, table, noticed, chunk_format.read_message_index) if with_index_check else None
+        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
         if check is not None and contradicts_itself(table, claimed_span):
             check.doubt()
             check.settle()
         self._contents = contents
-        self._file = ChunkedFile(source, chunk_format, table, contents.channels, noticed, check=check)
+        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
         self.summary = summary
 
     @property
-    def contents(self) -> Contents:
+    def contents(self) -> MemberContents:
         """What it says of itself; the span by its message indexes once the index was seen to be wrong."""
         check = self._file.check
         if check is None or check.span is None:
             return self._contents
         return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
 
-    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[Piece]:
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
         """Yield the chunks that may hold the messages that are wanted, by first time."""
         return pieces_of(self._file, selection, order)
 

@@ -73,7 +73,7 @@ class Lateness:
         self.sample.extend(late[: _SAMPLE - len(self.sample)])
 
 
-class Tally:
+class MessageCounter:
     """All messages that a scan found.
 
     Attributes:
@@ -149,27 +149,27 @@ class PlaceKind(IntEnum):
     cut = 2
 
 
-Stretches = tuple[tuple[int, int], ...]
+ReadableRanges = tuple[tuple[int, int], ...]
 
 
-class Place(NamedTuple):
+class MessagePlace(NamedTuple):
     """Bytes of a file that hold messages: [start, start + length).
 
     Attributes:
         kind: see `PlaceKind`.
         uncompressed: bytes of the content.
-        stretches: the parts [start, end) of the content that can be followed; None: all of it.
+        readable_ranges: the parts [start, end) of the content that can be followed; None: all of it.
     """
 
     kind: PlaceKind
     start: int
     length: int
     uncompressed: int
-    stretches: Stretches | None = None
+    readable_ranges: ReadableRanges | None = None
 
 
 class MessageObserver(Protocol):
     """Receives the places of messages in the order in which a scan finds them."""
 
-    def on_messages(self, place: Place, batch: Batch) -> None:
+    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
         """Note messages at a place. May be called several times for one place."""

@@ -160,10 +160,10 @@ def to_ns(time: Time) -> int:
 
 def _read(text: str) -> int:
     wrong = ValueError(f"{text!r} is no time; write it like 2026-05-01T10:00:00Z")
-    if (found := _ISO.fullmatch(text.strip())) is None:
+    if (match := _ISO.fullmatch(text.strip())) is None:
         raise wrong
     try:
-        day, minute, second, fraction, zone = found.groups()
+        day, minute, second, fraction, zone = match.groups()
         offset = "+00:00" if zone in (None, "Z") else zone if ":" in zone else f"{zone[:3]}:{zone[3:]}"
         at = datetime.datetime.fromisoformat(f"{day}T{minute or '00:00'}:{second or '00'}{offset}")
     except ValueError:

@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from kleinkram.recordings.combine_summaries import combine, combine_folder
-from kleinkram.recordings.compression import open_decompressed
-from kleinkram.recordings.damage_report import Noticed
-from kleinkram.recordings.errors import Malformed, NotARecording, SeveralRecordings, SourceError
-from kleinkram.recordings.formats.base import sniff
-from kleinkram.recordings.formats.mcap.format import open_mcap
-from kleinkram.recordings.formats.rosbag1.format import open_bag
-from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES, find_leftovers, not_read, replay, replayed_copy
-from kleinkram.recordings.formats.rosbag2.db3 import DatabaseMember
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.errors import NotARecording, SeveralRecordings
+from kleinkram.recordings.formats.base import OpenContext, RecordingFile
+from kleinkram.recordings.formats.documents import UNKNOWN
+from kleinkram.recordings.formats.registry import format_of
+from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
+from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
 from kleinkram.recordings.formats.rosbag2.metadata import (
     MAX_TEXT,
     Rosbag2Metadata,
     compare_names,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.formats.rosbag2.recovered_member import open_recovered
 from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
-from kleinkram.recordings.member import ChunkedMember, Member, check_cost
-from kleinkram.recordings.model import RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, Source, SourceForward
+from kleinkram.recordings.member import ChunkedMember, Member
+from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
-from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_database
 
 
 @runtime_checkable
@@ -44,27 +41,9 @@ class HasSources(Protocol):
         """Give up what the sources need; called once, when the recording is closed."""
 
 
-MAX_UNASKED_BYTES = 2**30
-"""Bytes of a file without index that are read over a network unless more is allowed."""
-
 MAX_SCANNED_FOR_PROBLEMS = 64 * 2**20
 """Bytes of a file that `Recording.problems` reads whole where the file's index is enough to read its messages, and not
 to say what is wrong with it."""
-
-_READ_WHOLE = {
-    RecordingFormat.rosbag2_db3: "a rosbag2 database (db3) is read from a local copy",
-    RecordingFormat.zstd: "it is compressed as a whole",
-}
-
-_UNREAD = {RecordingFormat.ulog: "ULog of PX4", RecordingFormat.svo2: "SVO2 of a ZED camera"}
-
-_SUMMARY = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
-_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
-_USE_INSTEAD = {
-    RecordingFormat.tum: f"a trajectory (TUM), {_SUMMARY} {_TRAJECTORY_FACTS}",
-    RecordingFormat.kitti: f"a trajectory (KITTI), {_SUMMARY} {_TRAJECTORY_FACTS}",
-    RecordingFormat.csv: f"a table (CSV), {_SUMMARY} columns, rows and poses, and `pandas.read_csv` for the rows",
-}
 
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
@@ -87,7 +66,7 @@ class Opened:
     stack: ExitStack
 
 
-def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = None) -> Opened:
+def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | None = None) -> Opened:
     """Open the files of a recording; `most_bytes` as in `Recording.open`.
 
     Raises:
@@ -101,44 +80,24 @@ def open_members(what: Openable, noticed: Noticed, *, most_bytes: int | None = N
     with ExitStack() as on_failure:
         on_failure.callback(stack.close)
         name, files = _files_of(what, stack)
-        metadata = _metadata_of(files, noticed)
-        data = [file for file in files if file.base_name != METADATA_NAME and not file.is_log]
+        metadata = _metadata_of(files, problem_log)
+        logs = {file.source.name: file.source for file in files if file.source.name.endswith(LOG_SUFFIXES)}
+        data = [file for file in files if file.base_name != METADATA_NAME and file.source.name not in logs]
         if not data:
             raise NotARecording(name, _why_nothing(metadata))
         names = tuple(file.base_name for file in data)
-        logs = {file.source.name: file.source for file in files if file.is_log}
-        opener = _Opener(_message_compression(metadata), noticed, stack, most_bytes, logs)
-        members = tuple(opener.open(file) for file in data)
+        context = OpenContext(problem_log, stack, most_bytes, _message_compression(metadata), logs)
+        members = tuple(_open_file(file, context) for file in data)
         on_failure.pop_all()
-    return Opened(name, names, members, lambda: opener.summarise(metadata, names), stack)
+
+    def summarise_all() -> RecordingSummary:
+        summaries = [_summary_of(file, member) for file, member in zip(data, members, strict=True)]
+        return combine(summaries, names) if metadata is None else combine_folder(metadata, names, summaries)
+
+    return Opened(name, names, members, summarise_all, stack)
 
 
-@dataclass
-class _File:
-    """A file to be opened.
-
-    Attributes:
-        path: where it stands on this machine.
-        database: where it stands as a database that SQLite reads: the file itself, or a copy that was made to open it.
-        unpacked: what is inside, where the file is compressed as a whole.
-    """
-
-    source: Source
-    path: Path | None = None
-    database: Path | None = None
-    unpacked: _File | None = None
-
-    @property
-    def base_name(self) -> str:
-        return PurePosixPath(self.source.name).name
-
-    @property
-    def is_log(self) -> bool:
-        """Whether it is the log or journal of a database."""
-        return self.source.name.endswith(LOG_SUFFIXES)
-
-
-def _summary_of(file: _File, member: Member) -> RecordingSummary:
+def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
     """Return what is in a file. Where its index is wrong, the member does not believe it any more."""
     summary = member.summary or _summarise(file)
     if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
@@ -146,7 +105,7 @@ def _summary_of(file: _File, member: Member) -> RecordingSummary:
     return summary
 
 
-def _summarise(file: _File) -> RecordingSummary:
+def _summarise(file: RecordingFile) -> RecordingSummary:
     """Say what is in a file as `klein inspect` does. What was copied to open the file is not fetched again.
 
     Raises:
@@ -154,7 +113,7 @@ def _summarise(file: _File) -> RecordingSummary:
     """
     inner = file.unpacked
     if inner is not None:
-        return scan(SourceForward(inner.source, path=inner.path))
+        return scan(SourceReader(inner.source, path=inner.path))
     if file.database is not None:
         with FileSource(file.database) as source:
             source.name = file.base_name
@@ -165,142 +124,23 @@ def _summarise(file: _File) -> RecordingSummary:
     return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
 
 
-@dataclass(frozen=True)
-class _Opener:
-    """Opens files, whatever they are; what must be closed later goes onto the stack.
-
-    Attributes:
-        summaries: of each file that was opened, a function that returns its summary.
-    """
-
-    message_compression: str
-    noticed: Noticed
-    stack: ExitStack
-    most_bytes: int | None
-    logs: Mapping[str, Source]
-    summaries: list[Callable[[], RecordingSummary]] = field(default_factory=list)
-
-    def summarise(self, metadata: Rosbag2Metadata | None, names: Sequence[str]) -> RecordingSummary:
-        """Return what `klein inspect` says of all files together.
-
-        Raises:
-            SourceError: the bytes cannot be read.
-        """
-        summaries = [summarise() for summarise in self.summaries]
-        return combine(summaries, names) if metadata is None else combine_folder(metadata, names, summaries)
-
-    def open(self, file: _File) -> Member:
-        """Open a file, and note how it is summarised.
-
-        Raises:
-            NotARecording: there are no messages in it that we read.
-            TooCostly: as `open_members`.
-            SourceError: the bytes cannot be read.
-        """
-        member = self._open(file)
-        self.summaries.append(lambda: _summary_of(file, member))
-        return member
-
-    def _open(self, file: _File) -> Member:
-        kind, most = sniff(file.source), self._most_bytes(file.source)
-        if kind is RecordingFormat.unknown and self._logs_of(file):
-            kind = RecordingFormat.rosbag2_db3
-        if kind is RecordingFormat.mcap:
-            compression = self.message_compression
-            return open_mcap(file.source, self.noticed, message_compression=compression, most_bytes=most)
-        if kind is RecordingFormat.rosbag1:
-            return open_bag(file.source, self.noticed, most_bytes=most)
-        if kind is RecordingFormat.zstd or (kind is RecordingFormat.rosbag2_db3 and file.path is None):
-            check_cost(file.source, most, _READ_WHOLE[kind])
-        if kind is RecordingFormat.rosbag2_db3:
-            return self._open_database(file)
-        if kind is RecordingFormat.zstd:
-            return self._open(self._unpack(file))
-        if kind is RecordingFormat.rosbag1_old:
-            raise NotARecording(file.source.name, "it is a ROS bag 1.x: convert it with 'rosbag migrate'")
-        if kind is RecordingFormat.empty:
-            raise NotARecording(file.source.name, "it has 0 bytes")
-        if kind in _UNREAD:
-            raise NotARecording(file.source.name, f"it is a {_UNREAD[kind]}, and reading that format is not supported")
-        if kind in _USE_INSTEAD:
-            raise NotARecording(file.source.name, f"it is {_USE_INSTEAD[kind]}")
-        raise NotARecording(file.source.name, f"its content is that of {kind.value}, which holds no messages")
-
-    def _most_bytes(self, source: Source) -> int | None:
-        """Return how many bytes of a file may be read only to open it."""
-        if self.most_bytes is not None:
-            return self.most_bytes
-        return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
-
-    def _open_database(self, file: _File) -> Member:
-        name = file.source.name
-        path = file.database = self._whole_database(file)
-        compression = self.message_compression
-
-        def recover() -> Member:
-            return open_recovered(path, name, self.noticed, self.stack, message_compression=compression)
-
-        return DatabaseMember(path, name, self.noticed, recover, message_compression=compression)
-
-    def _whole_database(self, file: _File) -> Path:
-        """Return where a database can be read with what its log and journal hold, if there are any."""
-        if file.path is not None:
-            left = find_leftovers(file.path, file.base_name)
-            copy = self.stack.enter_context(replayed_copy(file.path)) if left else None
-            is_applied = copy is not None
-            path = copy or file.path
-        else:
-            name, logs = file.source.name, self._logs_of(file)
-            path = self._copy(SourceForward(file.source).read, name, logs)
-            left = find_leftovers(path, file.base_name)
-            is_applied = bool(left) and replay(path)
-            if left and not is_applied:  # half of it may be in this copy
-                path = self._copy(SourceForward(file.source).read, name)
-        for problem in [*left, *([] if is_applied else not_read(left))]:
-            self.noticed.add(problem.code, problem.where, problem.message)
-        return path
-
-    def _logs_of(self, file: _File) -> dict[str, Source]:
-        """Return the log and journal that were given beside a database, by their suffixes."""
-        names = {suffix: f"{file.source.name}{suffix}" for suffix in LOG_SUFFIXES}
-        return {suffix: self.logs[name] for suffix, name in names.items() if name in self.logs}
-
-    def _unpack(self, file: _File) -> _File:
-        """Decompress a file that is compressed as a whole; if that is damaged, up to there."""
-        source = file.source
-        content = open_decompressed("zstd", SourceForward(source).read, MAX_SPOOL_BYTES)
-
-        def read(most: int) -> bytes:
-            try:
-                return content.take_some(most)
-            except Malformed as error:
-                self.noticed.add("damaged", source.name, f"reading ends here: {error.message}")
-                return b""
-
-        path = self._copy(read, source.name)
-        unpacked = self.stack.enter_context(FileSource(path))
-        unpacked.name = PurePosixPath(source.name).stem
-        if sniff(unpacked) is RecordingFormat.zstd:
-            raise NotARecording(source.name, "it is compressed more than once")
-        file.unpacked = _File(unpacked, path)
-        return file.unpacked
-
-    def _copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
-        reads = {suffix: SourceForward(log).read for suffix, log in (logs or {}).items()}
-        try:
-            return self.stack.enter_context(temporary_database(read, reads))
-        except TooLarge as error:
-            raise SourceError(f"{name}: {error}") from error
+def _open_file(file: RecordingFile, context: OpenContext) -> Member:
+    file_format = format_of(file.source)
+    if file_format is UNKNOWN and any(f"{file.source.name}{suffix}" in context.logs for suffix in LOG_SUFFIXES):
+        file_format = ROSBAG2_DB3  # all of its tables may be in the log
+    if file_format.open is None:
+        raise NotARecording(file.source.name, file_format.refusal)
+    return file_format.open(file, context)
 
 
 def _message_compression(metadata: Rosbag2Metadata | None) -> str:
     return metadata.compression if metadata is not None and metadata.compression_mode == "message" else ""
 
 
-def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[_File]]:
+def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[RecordingFile]]:
     if isinstance(what, str | os.PathLike):
         path = Path(what)
-        return str(path), [_File(stack.enter_context(FileSource(member)), member) for member in _paths_of(path)]
+        return str(path), [RecordingFile(stack.enter_context(FileSource(member)), member) for member in _paths_of(path)]
     if isinstance(what, HasSources):
         stack.callback(what.close)
         sources = [*what.sources()]
@@ -308,7 +148,7 @@ def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[_File]]:
         sources = [*what]
     else:
         sources = [what]
-    return sources[0].name if sources else "nothing", [_File(source) for source in sources]
+    return sources[0].name if sources else "nothing", [RecordingFile(source) for source in sources]
 
 
 def _paths_of(path: Path) -> list[Path]:
@@ -325,13 +165,13 @@ def _paths_of(path: Path) -> list[Path]:
     if not groups:
         raise NotARecording(str(path), _why_nothing(None))
     if len(groups) > 1:
-        raise SeveralRecordings(str(path), [str(path / found.name) for found in groups])
+        raise SeveralRecordings(str(path), [str(path / group.name) for group in groups])
     return _paths_in(path, groups[0])
 
 
-def _paths_in(folder: Path, found: RecordingGroup) -> list[Path]:
-    metadata = [found.metadata_path] if found.metadata_path else []
-    return [folder / name for name in [*metadata, *found.members]]
+def _paths_in(folder: Path, group: RecordingGroup) -> list[Path]:
+    metadata = [group.metadata_path] if group.metadata_path else []
+    return [folder / name for name in [*metadata, *group.members]]
 
 
 def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
@@ -340,7 +180,7 @@ def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
     return combine_folder(metadata, (), ()).reason or ""
 
 
-def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | None:
+def _metadata_of(files: Iterable[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
     """Read the metadata.yaml among the files, and compare it with what is there."""
     names = {file.base_name for file in files}
     for file in files:
@@ -352,9 +192,9 @@ def _metadata_of(files: Iterable[_File], noticed: Noticed) -> Rosbag2Metadata | 
         if metadata is not None and metadata.is_other:
             return None
         if metadata is None:
-            noticed.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
+            problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
             return None
         for problem in compare_names(metadata, names - {METADATA_NAME}):
-            noticed.add(problem.code, problem.where, problem.message)
+            problem_log.add(problem.code, problem.where, problem.message)
         return metadata
     return None

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
-from kleinkram.recordings.damage_report import Noticed
-from kleinkram.recordings.decoded_messages import Notice, decode_blocks, list_topics, timed
-from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, decoder_for, to_arrow, to_pandas
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.decoded_messages import DecodeProblemLogger, decode_blocks, decoder_of, list_topics, timed
+from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
 from kleinkram.recordings.member import Member
 from kleinkram.recordings.merge import TooDisordered, merge
@@ -70,7 +70,7 @@ class Recording:
         message_count: None where only reading all of them would tell.
     """
 
-    def __init__(self, opened: Opened, noticed: Noticed) -> None:
+    def __init__(self, opened: Opened, problem_log: ProblemLog) -> None:
         self.name, self.files = opened.name, opened.files
         self._members = opened.members
         self._stack = opened.stack
@@ -78,7 +78,7 @@ class Recording:
         self._of_summary: tuple[Problem, ...] | None = None
         self._is_closed = False
         self._opened_from: tuple[Openable, int | None] | None = None
-        self._noticed = noticed
+        self._problem_log = problem_log
         contents = [member.contents for member in opened.members]
         counts = [content.message_count for content in contents]
         self.topics: tuple[Topic, ...] = list_topics(contents)
@@ -104,9 +104,9 @@ class Recording:
             SeveralRecordings: the folder holds several.
             SourceError: the bytes cannot be read.
         """
-        noticed = Noticed()
-        opened = open_members(what, noticed, most_bytes=most_bytes)
-        recording = cls(opened, noticed)
+        problem_log = ProblemLog()
+        opened = open_members(what, problem_log, most_bytes=most_bytes)
+        recording = cls(opened, problem_log)
         recording._opened_from = (Path(what).absolute() if isinstance(what, str | PathLike) else what, most_bytes)
         return recording
 
@@ -156,7 +156,7 @@ class Recording:
             except SourceError:
                 if not self._is_closed:
                     raise
-        return self._noticed.all(self._of_summary or ())
+        return self._problem_log.all(self._of_summary or ())
 
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
@@ -184,7 +184,7 @@ class Recording:
         A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
         one that does not fit its schema, which is then named in `problems`.
         """
-        return decode_blocks(self._blocks(self._select(topics, start, end)), self._noticed)
+        return decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
 
     def to_arrow(
         self,
@@ -213,7 +213,7 @@ class Recording:
             SourceError: the bytes cannot be read.
         """
         decoder, messages = self._of_topic(topic, start, end)
-        return to_arrow(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+        return to_arrow(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
 
     def to_pandas(
         self,
@@ -225,7 +225,7 @@ class Recording:
     ) -> pd.DataFrame:
         """Return what `to_arrow` returns, as a pandas frame with the log times (UTC, to the ns) as its index."""
         decoder, messages = self._of_topic(topic, start, end)
-        frame = to_pandas(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+        frame = to_pandas(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
         import pandas  # is there: `to_pandas` has just used it
 
         frame.index = pandas.DatetimeIndex(
@@ -243,7 +243,7 @@ class Recording:
     ) -> Iterator[pa.RecordBatch]:
         """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
         decoder, messages = self._of_topic(topic, start, end)
-        return arrow_batches(decoder, messages, fields=fields, notice=Notice(topic, self._noticed))
+        return arrow_batches(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
 
     def topic(self, name: str) -> Topic:
         """Return the topic of this name.
@@ -275,26 +275,26 @@ class Recording:
         topic = self.topic(name)
         schema = topic.schema
         selection = Selection(frozenset((name,)), *_span(start, end))
-        decoder = decoder_for(topic.message_encoding, schema.name, schema.encoding, schema.data)
-        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._noticed)
+        decoder = decoder_of(topic.message_encoding, schema)
+        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._problem_log)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
             return Selection(None, *_span(start, end))
         names = [topic.name for topic in self.topics]
-        found: set[str] = set()
-        for wanted in [topics] if isinstance(topics, str) else topics:
-            is_glob = wanted not in names and any(sign in wanted for sign in "*?[")
-            hits = [name for name in names if (fnmatchcase(name, wanted) if is_glob else name == wanted)]
+        selected: set[str] = set()
+        for pattern in [topics] if isinstance(topics, str) else topics:
+            is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
+            hits = [name for name in names if (fnmatchcase(name, pattern) if is_glob else name == pattern)]
             if not hits and not is_glob:
-                raise NoSuchTopic(wanted, names)
-            found.update(hits)
-        return Selection(frozenset(found), *_span(start, end))
+                raise NoSuchTopic(pattern, names)
+            selected.update(hits)
+        return Selection(frozenset(selected), *_span(start, end))
 
     def _blocks(self, selection: Selection) -> Iterator[Block]:
         """Yield the messages as lists that follow each other in time."""
         pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
-        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._noticed.note_late)
+        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
         if any(channel.message_compression for member in self._members for channel in _channels(member)):
             return (self._uncompressed(block) for block in blocks)
         return blocks
@@ -309,7 +309,7 @@ class Recording:
         try:
             return message._replace(data=unpack_message(message.data, MAX_MESSAGE))
         except Malformed as error:
-            self._noticed.add("damaged-message", message.topic, f"left out: {error.message}")
+            self._problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
             return None
 
 

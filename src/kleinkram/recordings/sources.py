@@ -182,7 +182,7 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
         pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `do_ahead`
 
 
-class Forward(Protocol):
+class SequentialReader(Protocol):
     """The bytes of one file in order."""
 
     @property
@@ -205,7 +205,7 @@ class Forward(Protocol):
         """
 
 
-class SourceForward:
+class SourceReader:
     """A source read from its start; over a network, the next blocks are already under way."""
 
     def __init__(self, source: Source, *, path: Path | None = None) -> None:
@@ -241,7 +241,7 @@ class SourceForward:
         return piece
 
 
-class FileForward(SourceForward):
+class FileReader(SourceReader):
     """A local file. Close it, or use it in a `with`.
 
     Raises:
@@ -256,7 +256,7 @@ class FileForward(SourceForward):
         """Close the file; a second call does nothing."""
         self._file.close()
 
-    def __enter__(self) -> FileForward:
+    def __enter__(self) -> FileReader:
         return self
 
     def __exit__(
@@ -265,7 +265,7 @@ class FileForward(SourceForward):
         self.close()
 
 
-class PipeForward:
+class PipeReader:
     """The next `size_bytes` bytes of a stream; what follows them stays in it."""
 
     path = None
@@ -294,7 +294,7 @@ class PipeForward:
 class _Rewound:
     """A forward whose first bytes were looked at already."""
 
-    def __init__(self, head: bytes, rest: Forward) -> None:
+    def __init__(self, head: bytes, rest: SequentialReader) -> None:
         self.name = rest.name
         self.size_bytes = rest.size_bytes
         self.path = rest.path
@@ -309,31 +309,31 @@ class _Rewound:
         return piece
 
 
-def peek(forward: Forward, length: int) -> tuple[bytes, Forward]:
-    """Return the first bytes, at most `length`, and what still begins with them. `forward` itself is used up."""
+def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
+    """Return the first bytes, at most `length`, and what still begins with them. `reader` itself is used up."""
     pieces: list[bytes] = []
-    have, length = 0, min(length, forward.size_bytes)
-    while have < length and (piece := forward.read(length - have)):
+    have, length = 0, min(length, reader.size_bytes)
+    while have < length and (piece := reader.read(length - have)):
         pieces.append(piece)
         have += len(piece)
     head = b"".join(pieces)
-    return head, _Rewound(head, forward)
+    return head, _Rewound(head, reader)
 
 
-def from_source(source: Source) -> Forward:
+def source_reader(source: Source) -> SequentialReader:
     """Read a source forward."""
-    return SourceForward(source, path=source.path if isinstance(source, FileSource) else None)
+    return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)
 
 
-def from_file(path: str | os.PathLike[str]) -> FileForward:
+def file_reader(path: str | os.PathLike[str]) -> FileReader:
     """Read a local file forward; use it in a `with`.
 
     Raises:
         SourceError: the file cannot be opened.
     """
-    return FileForward(path)
+    return FileReader(path)
 
 
-def from_pipe(stream: BinaryIO, size_bytes: int, name: str) -> Forward:
+def pipe_reader(stream: BinaryIO, size_bytes: int, name: str) -> SequentialReader:
     """Read exactly `size_bytes` bytes of a stream forward. `name` is the file's own, for messages and extension."""
-    return PipeForward(stream, size_bytes=size_bytes, name=name)
+    return PipeReader(stream, size_bytes=size_bytes, name=name)

@@ -1,7 +1,7 @@
-"""Forward reading of a range or of a decompressor, in windows, with an optional running CRC-32.
+"""SequentialReader reading of a range or of a decompressor, in windows, with an optional running CRC-32.
 
 Holds one window, plus what `take` was asked for. Never trusts a length further than the end that it was given.
-`Lookahead` does the same for a scan: it can look at what comes before it passes over it, but never go back.
+`LookaheadStream` does the same for a scan: it can look at what comes before it passes over it, but never go back.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from kleinkram.recordings.errors import Cut, Malformed, SourceError
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
-from kleinkram.recordings.sources import Forward, Source
+from kleinkram.recordings.sources import SequentialReader, Source
 
 _STEP = 256 * 2**10
 _FIRST_BUFFER = 2 * 2**20
@@ -19,7 +19,7 @@ _FIRST_BUFFER = 2 * 2**20
 Refill = Callable[[], bytes]
 
 
-class ForwardStream:
+class ByteStream:
     """Bytes in order: take some, skip some.
 
     Attributes:
@@ -124,7 +124,7 @@ class ForwardStream:
         self.position += length
 
 
-def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) -> ForwardStream:
+def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) -> ByteStream:
     """Read [start, end) of a source forward. `end` is cut to the size of the source."""
     end = min(end, source.size_bytes)
     offset = start
@@ -144,16 +144,16 @@ def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) ->
             raise Cut(f"byte {offset}", f"{length} bytes are claimed, {max(0, end - offset)} are there")
         offset += length
 
-    return ForwardStream(refill, start=start, jump=jump)
+    return ByteStream(refill, start=start, jump=jump)
 
 
-def open_bytes(data: bytes, start: int) -> ForwardStream:
+def open_bytes(data: bytes, start: int) -> ByteStream:
     """Read bytes that are at hand; `start` is their place in the file."""
     pieces = [data]
-    return ForwardStream(lambda: pieces.pop() if pieces else b"", start=start)
+    return ByteStream(lambda: pieces.pop() if pieces else b"", start=start)
 
 
-class Lookahead:
+class LookaheadStream:
     """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed,
     if it is asked to.
 
@@ -165,10 +165,10 @@ class Lookahead:
         at: in the window, of the next byte.
     """
 
-    def __init__(self, forward: Forward, *, with_crc: bool = True) -> None:
-        self._forward = forward
+    def __init__(self, reader: SequentialReader, *, with_crc: bool = True) -> None:
+        self._reader = reader
         self._with_crc = with_crc
-        self.size_bytes = forward.size_bytes
+        self.size_bytes = reader.size_bytes
         keep_freed_memory()
         self._buffer = memoryview(bytearray(_FIRST_BUFFER))
         self.window = self._buffer[:0]
@@ -242,9 +242,9 @@ class Lookahead:
         self._buffer[:have] = rest
         try:
             while have < need:
-                piece = self._forward.read(_STEP)
+                piece = self._reader.read(_STEP)
                 if not piece:
-                    raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
+                    raise SourceError(f"{self._reader.name}: ended before its {self.size_bytes} bytes")
                 self._buffer[have : have + len(piece)] = piece
                 have += len(piece)
         finally:  # what came before an error is at hand

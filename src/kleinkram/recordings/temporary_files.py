@@ -17,12 +17,12 @@ from pathlib import Path
 
 from kleinkram.recordings.errors import RecordingError, SourceError
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.sources import Forward
+from kleinkram.recordings.sources import SequentialReader
 
 MAX_SPOOL_BYTES = 64 * 2**30
 """Bytes of one database that are written to a temporary file."""
 
-KEPT_FREE_BYTES = 2**30
+MIN_FREE_DISK_BYTES = 2**30
 """Bytes of the disk that a temporary file leaves to others."""
 
 _PREFIX = "kleinkram-spool-"
@@ -34,19 +34,19 @@ class TooLarge(RecordingError):
 
 
 @contextmanager
-def database_file(forward: Forward, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
+def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
     """Give the path of a database: its own where it is a local file, else that of a temporary copy.
 
     Raises:
         TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
         SourceError: it cannot be read, or the copy cannot be written.
     """
-    if forward.path is not None:
-        yield forward.path
+    if reader.path is not None:
+        yield reader.path
         return
-    if forward.size_bytes > most_bytes:
+    if reader.size_bytes > most_bytes:
         raise _too_large(most_bytes, most_bytes)
-    with temporary_copy(forward.read, most_bytes=most_bytes) as path:
+    with temporary_copy(reader.read, most_bytes=most_bytes) as path:
         yield path
 
 
@@ -98,7 +98,7 @@ def temporary_copy(
 
 
 def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int, *, copies: int) -> None:
-    free = (shutil.disk_usage(folder).free - KEPT_FREE_BYTES) // copies
+    free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
     left = min(most_bytes, free)
     while data := read(WINDOW):
         left -= len(data)

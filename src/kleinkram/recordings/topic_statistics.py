@@ -22,7 +22,7 @@ from kleinkram.recordings.model import (
     counted,
     span_text,
 )
-from kleinkram.recordings.timeline import Jump, Run, Timeline, TopicTimes, bulk, within
+from kleinkram.recordings.timeline import Jump, StampRun, Timeline, TopicTimes, bulk, within
 
 _HOUR_NS = 3600 * 10**9
 
@@ -58,7 +58,7 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         topics.append(topic)
         problems += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
-    problems += tell_jumps(jumps)
+    problems += clock_jump_problems(jumps)
     # The silence that a jump of the clock leaves is none.
     longest_ns = min((jump.before_ns - jump.after_ns for jump in jumps.values()), default=None)
     longest_ns = longest_ns // 2 if longest_ns is not None else None
@@ -68,12 +68,12 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=(*problems, *name_oddities(topics, span_ns, longest_silence_ns=longest_ns)),
+        problems=(*problems, *find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)),
     )
 
 
 def _summarise_topic(
-    name: str, kind: TopicType, times: TopicTimes, run: Run | None, island: Run | None, bins: int
+    name: str, kind: TopicType, times: TopicTimes, run: StampRun | None, island: StampRun | None, bins: int
 ) -> TopicSummary:
     return TopicSummary(
         name=name,
@@ -125,15 +125,15 @@ def pending(kind: RecordingFormat, size_bytes: int, why: str, problems: Sequence
     return RecordingSummary(kind, Content.pending, reason, problems=bounded(problems))
 
 
-def tell_jumps(jumps: Mapping[str, Jump]) -> list[Problem]:
+def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
     """Say where the clock was set back, by the topic on which it shows most."""
     if not jumps:
         return []
     name, jump = max(jumps.items(), key=lambda item: item[1].before_ns - item[1].after_ns)
     back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
-    forward = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
+    reader = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
     where = name if len(jumps) == 1 else f"{len(jumps)} topics"
-    message = f"{back}{forward}: the clock was set while it recorded, so order, span and gaps are not to be trusted"
+    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are not to be trusted"
     return [Problem("clock-jump", where, message)]
 
 
@@ -145,7 +145,7 @@ def _time(stamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%dT%H:%M:%SZ}"
 
 
-def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
+def publish_time_problems(lateness: Mapping[str, Lateness]) -> list[Problem]:
     """Say which topics were logged long before or after they were published."""
     problems = []
     for topic, late in sorted(lateness.items()):
@@ -155,10 +155,10 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
             f"typically {span_text(median_ns, '+')}, at most {span_text(late.largest_ns, '+')}"
         )
         problems.append(Problem("publish-time-differs", topic, message))
-    return gathered(problems)
+    return merge_similar(problems)
 
 
-def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
+def duplicate_channel_problems(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
     """Say which publishers have several channels of one topic and type; what is not named counts as nobody's.
 
     `channels`: topic, type and publisher of each.
@@ -169,10 +169,10 @@ def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
         if count > 1:
             message = f"{publisher} has {count} channels of it with the same type: its messages may be there twice"
             problems.append(Problem("doubled-channel", topic, message))
-    return gathered(problems)
+    return merge_similar(problems)
 
 
-def tell_readable(messages: int, lost: Lost | None) -> str:
+def describe_readable(messages: int, lost: Lost | None) -> str:
     """Say what can be read of a damaged file, and what is lost."""
     readable = f"{counted(messages, 'message')} can be read"
     if lost is None:
@@ -188,7 +188,7 @@ def tell_readable(messages: int, lost: Lost | None) -> str:
     return f"{readable}; lost: {', '.join(parts)}"
 
 
-def tell_damage(damage: Sequence[Malformed]) -> str:
+def describe_damage(damage: Sequence[Malformed]) -> str:
     """Say where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
     first = damage[0]
     place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
@@ -218,7 +218,7 @@ _OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/eve
 """Topics that speak when something happens, and are silent in the best of recordings."""
 
 
-def name_oddities(
+def find_quality_warnings(
     topics: Iterable[TopicSummary], span_ns: int | None, *, longest_silence_ns: int | None = None
 ) -> list[Problem]:
     """Return what is odd, of each kind at most a few.
@@ -235,7 +235,7 @@ def name_oddities(
             late += _starts_late(topic, topic.rate_hz, span_ns)
             early += _stops_early(topic, topic.rate_hz, span_ns)
             gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
-    return [*gathered(silent), *gathered(late), *gathered(early), *gathered(gaps)]
+    return [*merge_similar(silent), *merge_similar(late), *merge_similar(early), *merge_similar(gaps)]
 
 
 def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
@@ -267,7 +267,7 @@ def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Pro
     return [Problem("long-gap", topic.name, message)]
 
 
-def gathered(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
+def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
     """Put what is said of more than a few topics, or of more than a few of `what`, into one problem."""
     if len(problems) <= _MOST_OF_A_KIND:
         return list(problems)

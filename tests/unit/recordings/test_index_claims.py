@@ -11,7 +11,7 @@ import pytest
 from kleinkram.recordings import FileSource, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.sources import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
@@ -122,8 +122,8 @@ def written(name: str, folder: Path) -> Path:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def by_index(path: Path) -> RecordingSummary:

@@ -9,9 +9,14 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+from kleinkram.recordings.formats.base import Format
+from kleinkram.recordings.formats.mcap.format import scan_mcap, summarise_mcap
+from kleinkram.recordings.formats.mcap.records import MAGIC
 from kleinkram.recordings.model import Fact, RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import Source
 
-LIBRARY_WORD = b"stereolabs"
+_LIBRARY_WORD = b"stereolabs"
+_MCAP_HEADER_BYTES = 64
 _CAMERA = re.compile(r"Camera_SN(?P<serial>\d{1,20})/(?P<what>\w+)")
 
 
@@ -25,3 +30,18 @@ def as_svo2(summary: RecordingSummary) -> RecordingSummary:
             if topic.count is not None:
                 facts.append(Fact("frames", topic.count))
     return replace(summary, format=RecordingFormat.svo2, facts=(*facts, *summary.facts))
+
+
+def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+    return as_svo2(summarise_mcap(source, most_bytes=most_bytes))
+
+
+SVO2 = Format(
+    RecordingFormat.svo2,
+    lambda head: head.data.startswith(MAGIC) and _LIBRARY_WORD in head.data[len(MAGIC) :][:_MCAP_HEADER_BYTES],
+    "a recording of a ZED camera (SVO2)",
+    extensions=(".svo2", ".mcap"),
+    scan=lambda reader: as_svo2(scan_mcap(reader)),
+    summarise=_summarise,
+    refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
+)

@@ -16,12 +16,12 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, McapFacts
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
-from kleinkram.recordings.index_check import FoundMessages
+from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import Batch, Place, PlaceKind
+from kleinkram.recordings.message_counts import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.sources import Source
-from kleinkram.recordings.streams import ForwardStream, Lookahead, open_range
+from kleinkram.recordings.streams import ByteStream, LookaheadStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
@@ -34,8 +34,8 @@ def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], o
     """Say whether a message of a channel with each of these log times stands at each of these places of a chunk."""
     if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
         return False
-    found = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
-    return all(map(eq, found, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
+    heads = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
+    return all(map(eq, heads, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
@@ -73,7 +73,7 @@ class ChunkHead(NamedTuple):
     is_unfinished: bool = False
 
 
-class Contents(NamedTuple):
+class McapChunkContents(NamedTuple):
     """What a walk through the records of a chunk came to.
 
     Attributes:
@@ -104,7 +104,7 @@ def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
     return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns, is_unfinished=True)
 
 
-def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> McapChunkContents:
     """Add the messages of a whole chunk to the batch.
 
     Raises:
@@ -116,40 +116,40 @@ def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) 
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> McapChunkContents:
     """Add the messages of a chunk whose end is missing."""
     raw = decompress_beginning(head.compression, stored, min(head.uncompressed, MAX_CHUNK_BYTES))
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def notify(facts: McapFacts, place: Place, batch: Batch) -> None:
+def notify(facts: McapFacts, place: MessagePlace, batch: Batch) -> None:
     """Pass messages at a place to the observer, if there is one."""
     if facts.observer is not None:
         facts.observer.on_messages(place, batch)
 
 
-def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
+def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkContents:
     """Add the messages of records to the batch, as far as they can be followed."""
     at, end = 0, len(raw)
     while True:
         at, _ = walk_messages(raw, at, end, batch)
         if at == end:
-            return Contents(at)
+            return McapChunkContents(at)
         if end - at < RECORD_HEAD.size:
-            return Contents(at, Malformed(f"byte {at}", "it ends within a record"))
+            return McapChunkContents(at, Malformed(f"byte {at}", "it ends within a record"))
         opcode, length = RECORD_HEAD.unpack_from(raw, at)
         body = at + RECORD_HEAD.size
         if opcode in (0, records.MESSAGE) or body + length > end:
-            return Contents(at, Malformed(f"byte {at}", "its records break off"))
+            return McapChunkContents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
                 _DEFINITIONS[opcode](facts, raw[body : body + min(length, MAX_TAKE)], f"byte {at}")
             except Malformed as fault:
-                return Contents(at, fault)
+                return McapChunkContents(at, fault)
         at = body + length
 
 
-def read_large_message(stream: Lookahead) -> tuple[int, tuple[int, int, int]]:
+def read_large_message(stream: LookaheadStream) -> tuple[int, tuple[int, int, int]]:
     """Return channel and row of the next message, of which only the head is at hand.
 
     Raises:
@@ -168,7 +168,7 @@ _CHUNK_FIXED = struct.Struct("<QQQII")
 _MOST_OF_RUN = 8192
 
 
-class StreamedRecord(NamedTuple):
+class McapRecord(NamedTuple):
     """A record; of a message `head` are the fields before its data, of a definition the whole body, else nothing."""
 
     opcode: int
@@ -177,7 +177,7 @@ class StreamedRecord(NamedTuple):
     head: bytes
 
 
-def open_chunk(stream: ForwardStream) -> StoredChunk:
+def open_chunk(stream: ByteStream) -> StoredChunk:
     """Read a chunk record up to its stored bytes.
 
     Raises:
@@ -190,7 +190,7 @@ def open_chunk(stream: ForwardStream) -> StoredChunk:
     return read_chunk_fields(stream, length)
 
 
-def read_chunk_fields(stream: ForwardStream, length: int) -> StoredChunk:
+def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
     """Read the fields of a chunk record of `length` bytes, up to its stored bytes.
 
     Raises:
@@ -211,7 +211,7 @@ def read_chunk_fields(stream: ForwardStream, length: int) -> StoredChunk:
     return StoredChunk(name, uncompressed, crc, stored)
 
 
-def read_message_index(source: Source, row: Row) -> FoundMessages | None:
+def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
     """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
 
     Raises:
@@ -220,7 +220,7 @@ def read_message_index(source: Source, row: Row) -> FoundMessages | None:
     index_start = row.start + row.length
     if not 0 < row.end - index_start <= MAX_CHUNK_INDEX:
         return None
-    stream, found = open_range(source, index_start, row.end), FoundMessages()
+    stream, messages = open_range(source, index_start, row.end), ChunkMessages()
     try:
         while not stream.at_end():
             where = f"byte {stream.position}"
@@ -228,13 +228,13 @@ def read_message_index(source: Source, row: Row) -> FoundMessages | None:
             if opcode != records.MESSAGE_INDEX:
                 return None
             channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
-            found.add_index(channel_id, stamps)
+            messages.add_index(channel_id, stamps)
     except Malformed:
         return None
-    return found
+    return messages
 
 
-def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
+def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
     """Return the wanted messages of records, in the order in which they stand.
 
     Raises:
@@ -242,10 +242,10 @@ def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Se
     """
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
-    unpack, message, channel_of, new = _MESSAGE.unpack_from, records.MESSAGE, wanted.get, tuple.__new__
+    unpack, message, channel_of, new = _MESSAGE.unpack_from, records.MESSAGE, channels.get, tuple.__new__
     at, size = 0, len(view)
     last = size - _MESSAGE.size
-    found: Block = []
+    messages: Block = []
     while at <= last:
         opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(view, at)
         end = at + 9 + length
@@ -254,13 +254,13 @@ def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Se
                 raise Malformed(f"byte {at} of the chunk", "a message that reaches beyond the chunk")
             channel = channel_of(channel_id)
             if channel is not None and start_ns <= log_ns < end_ns:
-                found.append(
+                messages.append(
                     new(RawMessage, (channel.topic, log_ns, publish_ns, sequence, view[at + 31 : end], channel))
                 )
         at = end
     if at != size and (at > size or not _is_short_tail(view, at)):
         raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
-    return found
+    return messages
 
 
 def _is_short_tail(view: bytes, at: int) -> bool:
@@ -273,7 +273,7 @@ def _is_short_tail(view: bytes, at: int) -> bool:
     return at == len(view)
 
 
-def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
+def read_records(stream: ByteStream) -> Iterator[McapRecord]:
     """Yield the records of a stream; what the caller did not take of one is skipped.
 
     Raises:
@@ -293,7 +293,7 @@ def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
             head = stream.take(MESSAGE_FIELDS.size)
         elif opcode in (records.SCHEMA, records.CHANNEL):
             head = stream.take(length)
-        yield StreamedRecord(opcode, start, length, head)
+        yield McapRecord(opcode, start, length, head)
         if stream.position < end:
             stream.skip(end - stream.position)
 
@@ -331,7 +331,7 @@ class RunBuilder:
         self._channels = set()
 
 
-def table_of_records(stream: ForwardStream) -> ChunkTable:
+def table_of_records(stream: ByteStream) -> ChunkTable:
     """Return where the messages of a stream stand, up to where it is damaged."""
     table = ChunkTable()
     builder = RunBuilder(table)

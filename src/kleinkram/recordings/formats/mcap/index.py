@@ -14,16 +14,16 @@ from itertools import chain
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, Row, smallest_to_come
 from kleinkram.recordings.compression import is_known_compression, unknown_compression, unreadable_chunk
-from kleinkram.recordings.damage_report import Losses
+from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import McapFacts
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
-from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, wrong_compression
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, wrong_compression
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, TAIL, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges
-from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
+from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
 _HEAD_BYTES = 4096
@@ -39,7 +39,7 @@ _READERS = {
 }
 
 
-def read_index(source: Source, times: tuple[Timeline, Losses] | None = None) -> McapFacts:
+def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
     """Return what the summary section says of an MCAP.
 
     Args:
@@ -122,7 +122,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     return summary_start
 
 
-def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
+def _read_summary_record(stream: ByteStream, facts: McapFacts) -> None:
     where = f"byte {stream.position}"
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
     if opcode in (records.SCHEMA, records.CHANNEL):
@@ -201,7 +201,7 @@ def _read_compression(source: Source, row: Row) -> str | None:
     return None
 
 
-def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
+def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
     rows = facts.table.rows
     for row in rows:
         if row.end - row.start - row.length > MAX_CHUNK_INDEX:
@@ -210,20 +210,20 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
         timeline.topic(channel.topic)
     watermarks = smallest_to_come(rows.column(Row._fields.index("first_ns")))
     for row, stream, before_ns in zip(rows, _index_streams(source, facts), watermarks, strict=True):
-        entries, found = _read_chunk_entries(stream, facts)
+        entries, messages = _read_chunk_entries(stream, facts)
         claim = ChunkClaim(row.start, row.start + row.length, row.first_ns, row.last_ns, row.channels, UNKNOWN)
-        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), found)
+        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), messages)
         why = unreadable_chunk("", stored=row.length, uncompressed=row.uncompressed_bytes)
         if named := facts.unknown_compression.get(row.start):
             why = unknown_compression(named)
         if why is not None:
-            losses.leave_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
+            losses.skip_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
         else:
             timeline.add_chunk(entries, uncompressed_bytes=row.uncompressed_bytes, stored_bytes=row.stored_bytes)
         timeline.settle(before_ns)
 
 
-def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
+def _index_streams(source: Source, facts: McapFacts) -> Iterator[ByteStream]:
     """Yield the message indexes of each chunk; over a network, those of the next few are fetched meanwhile."""
     rows = facts.table.rows
     if any(row.end - row.start - row.length > WINDOW for row in rows):
@@ -235,16 +235,16 @@ def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
         yield open_bytes(data, row.start + row.length)
 
 
-def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[ChunkEntries], FoundMessages]:
+def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[ChunkEntries], ChunkMessages]:
     by_topic: dict[str, ChunkEntries] = {}
-    found = FoundMessages()
+    messages = ChunkMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         if opcode != records.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
-        found.add_index(channel_id, stamps)
+        messages.add_index(channel_id, stamps)
         channel = facts.channels.get(channel_id)
         if channel is None:
             raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
@@ -252,20 +252,20 @@ def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[C
         if known is not None:
             stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
         by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
-    return list(by_topic.values()), found
+    return list(by_topic.values()), messages
 
 
-def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
+def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
     """Refuse an index that does not account for all messages, or that a chunk is missing from."""
-    found = sum(times.count for times in timeline.topics.values()) + losses.messages
+    listed = sum(times.count for times in timeline.topics.values()) + losses.messages
     if facts.statistics is None:
         if any(row.uncompressed_bytes and row.start + row.length == row.end for row in facts.table.rows):
             raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
-    elif found == 0 and facts.statistics.messages:
+    elif listed == 0 and facts.statistics.messages:
         raise NotIndexed("no-message-index", "the file has no message index", is_problem=False)
-    elif found != facts.statistics.messages:
+    elif listed != facts.statistics.messages:
         claimed = facts.statistics.messages
-        message = f"the statistics say {counted(claimed, 'message')}, the index lists {found}"
+        message = f"the statistics say {counted(claimed, 'message')}, the index lists {listed}"
         raise NotIndexed("counts-disagree", message, is_problem=True)
 
 

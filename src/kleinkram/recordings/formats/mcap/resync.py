@@ -11,12 +11,12 @@ import struct
 from collections.abc import Callable, Container
 
 from kleinkram.recordings.compression import Buffer
-from kleinkram.recordings.damage_report import Losses
+from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, HEADER, MAGIC, RECORD_HEAD
 from kleinkram.recordings.limits import MAX_NAME
-from kleinkram.recordings.streams import Lookahead
+from kleinkram.recordings.streams import LookaheadStream
 
 LOOK = 64 * 2**10
 """Bytes from the start of a record within which its fixed fields and names stand."""
@@ -172,8 +172,8 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
 
 def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
     """Say whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
-    found = (match.start() for match in _CHUNK.finditer(data, start, end))
-    return any(record_end(data, at, left - (at - start)) is not None for at in found)
+    places = (match.start() for match in _CHUNK.finditer(data, start, end))
+    return any(record_end(data, at, left - (at - start)) is not None for at in places)
 
 
 def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
@@ -283,23 +283,23 @@ _END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
-def pass_damage(stream: Lookahead, channels: Container[int], losses: Losses) -> None:
+def pass_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
     """Pass over at least one byte, up to the next place where a record of this file stands."""
     start = 0 if stream.window[stream.at] == HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
         width = _bring(stream)
         at, end = stream.at, stream.at + width
-        found = find_record(stream.window, at + start, end, stream.left - start, channels)
-        inner = find_inner(stream.window, at, end if found is None else found, stream.left)
-        if inner is None and found is not None and stream.window[found] == HEADER:
-            inner = found
+        record_at = find_record(stream.window, at + start, end, stream.left - start, channels)
+        inner = find_inner(stream.window, at, end if record_at is None else record_at, stream.left)
+        if inner is None and record_at is not None and stream.window[record_at] == HEADER:
+            inner = record_at
         start = 0
         if inner is not None:
             stream.advance(inner - at)
             _pass_inner(stream, losses)
             continue
-        stream.advance(width if found is None else found - at)
-        if found is not None:
+        stream.advance(width if record_at is None else record_at - at)
+        if record_at is not None:
             return
 
 
@@ -315,7 +315,7 @@ def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
     return None
 
 
-def _bring(stream: Lookahead) -> int:
+def _bring(stream: LookaheadStream) -> int:
     """Bring bytes into the window; return how many of them a record or magic may begin in that is there as a whole."""
     at_hand = stream.ahead(_SEARCH_BYTES)
     return at_hand if at_hand == stream.left else at_hand - LOOK
@@ -325,7 +325,7 @@ def _opens(match: re.Match[bytes]) -> bool:
     return match.end() - match.start() == len(MAGIC)
 
 
-def _pass_inner(stream: Lookahead, losses: Losses) -> None:
+def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     """Pass over another file, which begins here, and over those in it."""
     message = "another MCAP begins inside of this one; what stands in it is not counted"
     losses.note(Malformed(f"byte {stream.position}", message))

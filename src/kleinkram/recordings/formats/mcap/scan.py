@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
 from kleinkram.recordings.compression import unreadable_chunk, without_zero_tail
-from kleinkram.recordings.damage_report import ListedChunk, Losses
+from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import points_at_messages, walk_messages
@@ -28,17 +28,17 @@ from kleinkram.recordings.formats.mcap.resync import (
 )
 from kleinkram.recordings.index_check import (
     ChunkClaim,
-    FoundMessages,
+    ChunkMessages,
     compare_with_scan,
     new_table,
     wrong_compression,
     wrong_times,
 )
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import Batch, MessageObserver, Place, PlaceKind, Tally
+from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.sources import Forward
-from kleinkram.recordings.streams import Lookahead
+from kleinkram.recordings.sources import SequentialReader
+from kleinkram.recordings.streams import LookaheadStream
 
 _U32 = struct.Struct("<I")
 _NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
@@ -53,7 +53,7 @@ _READERS = {
 
 
 @dataclass
-class Scan:
+class McapScan:
     """What a scan found.
 
     Attributes:
@@ -62,32 +62,32 @@ class Scan:
     """
 
     facts: McapFacts = field(default_factory=McapFacts)
-    tally: Tally = field(default_factory=Tally)
-    losses: Losses = field(default_factory=Losses)
+    counter: MessageCounter = field(default_factory=MessageCounter)
+    losses: DamageReport = field(default_factory=DamageReport)
     closed: bool = False
     chunks: int = 0
 
 
-class _Scanner:
-    def __init__(self, forward: Forward, observer: MessageObserver | None) -> None:
-        self.scan = Scan()
+class _McapScanner:
+    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
+        self.scan = McapScan()
         self.scan.facts.observer = observer
-        self._stream = Lookahead(forward)
-        self._loose = LooseMessages(self._stream, self.scan.facts, self.scan.tally)
-        self._listed: ListedChunk | None = None
+        self._stream = LookaheadStream(reader)
+        self._unchunked = UnchunkedMessages(self._stream, self.scan.facts, self.scan.counter)
+        self._listed: IndexedChunk | None = None
         self._content = b""
-        self._found = new_table()
-        self._is_found = False
+        self._actual_chunks = new_table()
+        self._is_resynced = False
         self._sections = Sections(self._stream, self.scan.facts, self.scan.losses)
 
-    def run(self) -> Scan:
+    def run(self) -> McapScan:
         scan, stream = self.scan, self._stream
         stream.advance(min(len(records.MAGIC), stream.left))
         while stream.left:
             self._step()
-        self._loose.flush()
+        self._unchunked.flush()
         self._end_chunk()
-        nameless = scan.tally.finish()
+        nameless = scan.counter.finish()
         if nameless:
             scan.losses.note(
                 Malformed(
@@ -100,8 +100,8 @@ class _Scanner:
         scan.losses.messages_are_known = scan.losses.messages_are_known and scan.closed
         claimed = scan.facts.statistics
         is_believed = claimed is not None and not scan.losses.damage and not scan.losses.index_faults
-        if claimed is not None and is_believed and claimed.messages > scan.tally.messages:
-            missing = claimed.messages - scan.tally.messages
+        if claimed is not None and is_believed and claimed.messages > scan.counter.messages:
+            missing = claimed.messages - scan.counter.messages
             scan.losses.note(
                 Malformed("statistics", f"they say {counted(missing, 'message')} more than the file holds")
             )
@@ -116,12 +116,12 @@ class _Scanner:
             claims.append(ChunkClaim(place.start, place.start + place.length, *times, place.channels, UNKNOWN))
         if not len(claims):
             return
-        for chunk in self._found if facts.unknown_compression else ():
+        for chunk in self._actual_chunks if facts.unknown_compression else ():
             named = facts.unknown_compression.get(chunk.start)
             if named is not None and chunk.messages != UNKNOWN:
                 facts.index_faults.note(chunk.start, wrong_compression(named))
         is_damaged = bool(losses.damage)
-        compare_with_scan(claims, self._found, facts.table.sets, facts.index_faults, is_damaged=is_damaged)
+        compare_with_scan(claims, self._actual_chunks, facts.table.sets, facts.index_faults, is_damaged=is_damaged)
 
     def _step(self) -> None:
         """Pass over some messages, over one other record, or over damage."""
@@ -129,8 +129,8 @@ class _Scanner:
         stream.ahead(LOOK)
         if self._is_disguised():
             return
-        self._is_found = False
-        if last_bytes := self._loose.walk():
+        self._is_resynced = False
+        if last_bytes := self._unchunked.walk():
             self._end_chunk()
             self._pass(last_bytes)
             return
@@ -154,7 +154,7 @@ class _Scanner:
     def _is_disguised(self) -> bool:
         """Pass over a record of another kind that claims to be a message, if one stands here."""
         stream, losses = self._stream, self.scan.losses
-        behind_chunk = self._listed is not None or self._is_found
+        behind_chunk = self._listed is not None or self._is_resynced
         if not resync.is_disguised(stream.window, stream.at, stream.left, behind_chunk=behind_chunk):
             return False
         _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
@@ -196,13 +196,13 @@ class _Scanner:
         elif opcode == records.DATA_END:
             self._sections.pass_data_end(total, where)
         elif opcode == records.MESSAGE:
-            self._loose.take_large(total)
+            self._unchunked.take_large(total)
             self._pass(total)
         else:
             if opcode in _READERS:
                 at_hand = stream.ahead(RECORD_HEAD.size + min(length, MAX_TAKE))
                 body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + at_hand])
-                if length > LOOK and self.scan.losses.is_patience_spent(stream.position):
+                if length > LOOK and self.scan.losses.is_search_budget_spent(stream.position):
                     raise Malformed(where, "a record that nothing vouches for")
                 _READERS[opcode](self.scan.facts, body, where)
             self._pass(total)
@@ -212,35 +212,35 @@ class _Scanner:
         start = stream.position
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
-        before = scan.tally.messages
+        before = scan.counter.messages
         try:
-            found, fault = self._read_chunk(head, total)
+            messages, fault = self._read_chunk(head, total)
         except Malformed as error:
-            self._leave_chunk(
+            self._skip_damaged_chunk(
                 start, total, head, Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
             )
             return
         scan.chunks += 1
-        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=fault is not None)
-        self._note_found(start, start + total, head, found if fault is None else None)
+        self._listed = IndexedChunk(start, scan.counter.messages - before, damaged=fault is not None)
+        self._note_chunk(start, start + total, head, messages if fault is None else None)
         if fault is not None:
             self.scan.losses.note(Malformed(f"chunk at byte {start}", fault.message, certain=fault.certain))
             scan.losses.chunks += 1
 
-    def _note_found(self, start: int, end: int, head: chunks.ChunkHead, found: FoundMessages | None) -> None:
+    def _note_chunk(self, start: int, end: int, head: chunks.ChunkHead, messages: ChunkMessages | None) -> None:
         """Remember what was found of a chunk (None: not all that it holds), and compare it with what its head says."""
         facts = self.scan.facts
-        if found is None:
-            self._found.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
+        if messages is None:
+            self._actual_chunks.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
             return
-        times, channels = (found.first_ns, found.last_ns), facts.table.sets.number(found.channels)
-        known = UNKNOWN if channels == ANY_CHANNEL and found.channels else found.messages
-        self._found.append(ChunkClaim(start, end, *times, channels, known))
-        wrong = wrong_times((head.first_ns, head.last_ns), times) if found.messages else None
+        times, channels = (messages.first_ns, messages.last_ns), facts.table.sets.number(messages.channels)
+        known = UNKNOWN if channels == ANY_CHANNEL and messages.channels else messages.messages
+        self._actual_chunks.append(ChunkClaim(start, end, *times, channels, known))
+        wrong = wrong_times((head.first_ns, head.last_ns), times) if messages.messages else None
         if wrong is not None:
             facts.index_faults.note(start, f"its head is wrong: it says that its messages {wrong}")
 
-    def _read_chunk(self, head: chunks.ChunkHead, total: int) -> tuple[FoundMessages, Malformed | None]:
+    def _read_chunk(self, head: chunks.ChunkHead, total: int) -> tuple[ChunkMessages, Malformed | None]:
         """Pass over a chunk; return what was found in it, and why not all of it could be followed.
 
         Raises:
@@ -250,47 +250,49 @@ class _Scanner:
         if why := unreadable_chunk(head.compression, stored=total, uncompressed=head.uncompressed):
             raise why
         stream.ahead(total + LOOK)
-        if scan.losses.is_patience_spent(stream.position) and not self._is_followed(total):
+        if scan.losses.is_search_budget_spent(stream.position) and not self._is_followed(total):
             raise Malformed("chunk", "nothing stands behind it")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
         batch = Batch(scan.facts.channels)
         contents = chunks.read_chunk(stored, head, scan.facts, batch)
-        stretches = ((0, contents.walked),) if contents.fault else None
-        self._count(batch, head, Place(PlaceKind.chunk, stream.position, total, head.uncompressed, stretches))
+        readable_ranges = ((0, contents.walked),) if contents.fault else None
+        self._count(
+            batch, head, MessagePlace(PlaceKind.chunk, stream.position, total, head.uncompressed, readable_ranges)
+        )
         stream.advance(total)
         self._content = contents.raw
-        found = FoundMessages()
-        found.add(batch)
-        return found, contents.fault
+        messages = ChunkMessages()
+        messages.add(batch)
+        return messages, contents.fault
 
-    def _count(self, batch: Batch, head: chunks.ChunkHead, place: Place) -> None:
-        self.scan.tally.learn(self.scan.facts.channels)
+    def _count(self, batch: Batch, head: chunks.ChunkHead, place: MessagePlace) -> None:
+        self.scan.counter.learn(self.scan.facts.channels)
         chunks.notify(self.scan.facts, place, batch)
-        self.scan.tally.add(batch, stored=head.stored, uncompressed=head.uncompressed)
+        self.scan.counter.add(batch, stored=head.stored, uncompressed=head.uncompressed)
 
-    def _leave_chunk(self, start: int, total: int, head: chunks.ChunkHead, damage: Malformed) -> None:
+    def _skip_damaged_chunk(self, start: int, total: int, head: chunks.ChunkHead, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
-        before, used = scan.tally.messages, 0
+        before, used = scan.counter.messages, 0
         if stream.position == start and (after := stream.at + total) <= len(stream.window):
             stored = bytes(stream.window[stream.at + head.data_start : after])
             zeroed = without_zero_tail(head.compression, stored)
             # Bytes of it may be missing, so that its length reaches over the next one.
-            is_short = not scan.losses.is_patience_spent(start) and self._reaches_over_chunk(after)
+            is_short = not scan.losses.is_search_budget_spent(start) and self._reaches_over_chunk(after)
             if stream.left > total and (is_short or (zeroed is None and not self._is_followed(total))):
-                scan.losses.vain_bytes += total
+                scan.losses.wasted_bytes += total
                 self._resync(damage)
                 return
             if zeroed is not None:
                 used = self._save_beginning(zeroed, head)
         scan.losses.note(damage)
-        self._note_found(start, start + total, head, None)
+        self._note_chunk(start, start + total, head, None)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total - used
-        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
+        self._listed = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _reaches_over_chunk(self, after: int) -> bool:
         """Say whether another chunk of this file begins before a place in the window."""
@@ -313,7 +315,7 @@ class _Scanner:
         head = chunks.read_chunk_head(stream.window, stream.at)
         scan.facts.compression.add(head.compression or "none")
         scan.losses.chunks += 1
-        start, before = stream.position, scan.tally.messages
+        start, before = stream.position, scan.counter.messages
         if head.is_unfinished:
             head = head._replace(stored=total - head.data_start)
         at_hand = stream.ahead(min(total, MAX_CHUNK_BYTES))
@@ -325,7 +327,7 @@ class _Scanner:
         stream.advance(start + total - stream.position)
         scan.losses.note(cut)
         scan.losses.bytes += total - used
-        self._listed = ListedChunk(start, scan.tally.messages - before, damaged=True)
+        self._listed = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
@@ -334,10 +336,12 @@ class _Scanner:
         if head.compression and not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
             return 0
         walked, _, raw = chunks.read_beginning(stored, head, scan.facts, batch)
-        place = Place(PlaceKind.cut, self._stream.position, head.data_start + len(stored), len(raw), ((0, walked),))
-        before = scan.tally.messages
+        place = MessagePlace(
+            PlaceKind.cut, self._stream.position, head.data_start + len(stored), len(raw), ((0, walked),)
+        )
+        before = scan.counter.messages
         self._count(batch, head._replace(stored=len(stored), uncompressed=len(raw)), place)
-        scan.losses.unproven += scan.tally.messages - before
+        scan.losses.unverified += scan.counter.messages - before
         return head.data_start + len(stored) * walked // len(raw) if walked else 0
 
     def _note_listed(self, length: int) -> None:
@@ -378,7 +382,7 @@ class _Scanner:
         else:
             if stream.window[stream.at] == records.STATISTICS:
                 self.scan.facts.statistics = None  # bytes of it are missing
-            self.scan.losses.vain_bytes += total if total > LOOK else 0
+            self.scan.losses.wasted_bytes += total if total > LOOK else 0
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
@@ -389,7 +393,7 @@ class _Scanner:
         scan.losses.messages_are_known = False
         start = stream.position + believed
         pass_damage(stream, scan.facts.channels, scan.losses)
-        self._is_found = True
+        self._is_resynced = True
         scan.losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, lost: int) -> None:
@@ -401,19 +405,21 @@ class _Scanner:
 
 
 def scan_records(
-    forward: Forward, observer: MessageObserver | None = None, channels: Mapping[int, ChannelRecord] | None = None
-) -> Scan:
+    reader: SequentialReader,
+    observer: MessageObserver | None = None,
+    channels: Mapping[int, ChannelRecord] | None = None,
+) -> McapScan:
     """Read a whole file. Its content never raises. The observer receives every message that is counted.
 
     Args:
-        forward: the file.
+        reader: the file.
         observer: as above.
         channels: that are known before; a part of a file may not define its own.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
-    scanner = _Scanner(forward, observer)
+    scanner = _McapScanner(reader, observer)
     scanner.scan.facts.channels.update(channels or {})
     return scanner.run()
 
@@ -421,7 +427,7 @@ def scan_records(
 class Sections:
     """Passes over what ends a section, and compares its checksum; what is wrong is noted as a loss."""
 
-    def __init__(self, stream: Lookahead, facts: McapFacts, losses: Losses) -> None:
+    def __init__(self, stream: LookaheadStream, facts: McapFacts, losses: DamageReport) -> None:
         self._stream = stream
         self._facts = facts
         self._losses = losses
@@ -469,13 +475,13 @@ class Sections:
 _FLUSH_BYTES = 8 * 2**20
 
 
-class LooseMessages:
+class UnchunkedMessages:
     """Takes messages at the next byte of a stream; `flush` at the end, so that all are counted."""
 
-    def __init__(self, stream: Lookahead, facts: McapFacts, tally: Tally) -> None:
+    def __init__(self, stream: LookaheadStream, facts: McapFacts, counter: MessageCounter) -> None:
         self._stream = stream
         self._facts = facts
-        self._tally = tally
+        self._counter = counter
         self._batch = Batch(facts.channels)
         self._bytes = 0
 
@@ -486,7 +492,7 @@ class LooseMessages:
         """
         stream = self._stream
         after, last = walk_messages(stream.window, stream.at, len(stream.window), self._batch)
-        self._tell(after - stream.at)
+        self._notify_observer(after - stream.at)
         self._pass(last - stream.at)
         return after - last
 
@@ -498,13 +504,13 @@ class LooseMessages:
         """
         channel_id, row = chunks.read_large_message(self._stream)
         self._batch[channel_id].extend(row)
-        self._tell(total)
+        self._notify_observer(total)
         self._pass(0)
 
     def flush(self) -> None:
         """Count what was taken."""
-        self._tally.learn(self._facts.channels)
-        self._tally.add(self._batch)
+        self._counter.learn(self._facts.channels)
+        self._counter.add(self._batch)
         self._batch, self._bytes = Batch(self._facts.channels), 0
 
     def _pass(self, length: int) -> None:
@@ -513,8 +519,10 @@ class LooseMessages:
         if self._bytes > _FLUSH_BYTES:
             self.flush()
 
-    def _tell(self, length: int) -> None:
+    def _notify_observer(self, length: int) -> None:
         """Pass the messages in the next `length` bytes to the observer."""
         if self._facts.observer is not None and length:
-            chunks.notify(self._facts, Place(PlaceKind.records, self._stream.position, length, length), self._batch)
+            chunks.notify(
+                self._facts, MessagePlace(PlaceKind.records, self._stream.position, length, length), self._batch
+            )
             self.flush()  # what the batch holds next stands somewhere else

@@ -36,7 +36,7 @@ class Compression(str, Enum):
 
 
 @dataclass
-class _Chunk:
+class _McapChunk:
     """The chunk being filled."""
 
     pieces: list[bytes] = field(default_factory=list)
@@ -66,7 +66,7 @@ class McapWriter:
         self._compression = compression
         self._compress = _compressor(compression)
         self._chunk_bytes = chunk_bytes
-        self._chunk = _Chunk()
+        self._chunk = _McapChunk()
         self._position = 0
         self._raw_bytes = self._stored_bytes = 0
         self._crc = 0
@@ -180,7 +180,7 @@ class McapWriter:
         body = place + _counted(b"".join(offsets)) + struct.pack("<Q", self._position - index_start)
         body += _text(self._compression.value) + sizes
         self._chunk_indexes.append(_record(records.CHUNK_INDEX, body))
-        self._chunk = _Chunk()
+        self._chunk = _McapChunk()
 
     def _put(self, data: bytes) -> None:
         self._file.write(data)

@@ -19,12 +19,12 @@ from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields
-from kleinkram.recordings.index_check import FoundMessages
+from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch, MessageObserver, Stretches
+from kleinkram.recordings.message_counts import Batch, MessageObserver, ReadableRanges
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.sources import Source
-from kleinkram.recordings.streams import ForwardStream, open_range
+from kleinkram.recordings.streams import ByteStream, open_range
 
 _FIELDS = {b"op": "8s", b"conn": "9sI", b"time": "9sII"}
 _VALUES = {b"op": 1, b"conn": 2, b"time": 3}
@@ -74,10 +74,10 @@ def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch:
     constants, expected, values = layout.constants, layout.expected, layout.values
     last_head, start = end - size, at
     while at <= last_head:
-        found = unpack(data, at)
-        if constants(found) != expected:
+        header = unpack(data, at)
+        if constants(header) != expected:
             break
-        connection, seconds, nanoseconds, length = values(found)
+        connection, seconds, nanoseconds, length = values(header)
         after = at + size + length
         if after > end:
             break
@@ -110,8 +110,8 @@ class BagFacts:
         if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
         self.definition_bytes += len(connection.definition)
-        is_kept = self.definition_bytes <= MAX_DEFINITIONS
-        self.connections[number] = connection if is_kept else connection._replace(definition=b"")
+        fits = self.definition_bytes <= MAX_DEFINITIONS
+        self.connections[number] = connection if fits else connection._replace(definition=b"")
 
     def channels(self) -> dict[int, Channel]:
         """Return the connections as channels."""
@@ -129,19 +129,19 @@ class Hole(NamedTuple):
     fault: Malformed
 
 
-class Contents(NamedTuple):
-    """What a walk_known through the records of a chunk came to; `end`: of the chunk, in its bytes.
+class BagChunkContents(NamedTuple):
+    """What a walk_known_layout through the records of a chunk came to; `end`: of the chunk, in its bytes.
 
-    `stretches`: those in which the records follow each other. Behind a message whose length is wrong they overlap.
+    `readable_ranges`: ranges of whole records. Behind a message whose length is wrong they overlap.
     """
 
     holes: list[Hole]
     end: int
-    stretches: Stretches
+    readable_ranges: ReadableRanges
 
 
 @dataclass(frozen=True)
-class Record:
+class BagRecord:
     """A record whose header is at hand; `start`, `data_start`, `end`: places in the bytes in which it was found."""
 
     fields: Fields
@@ -156,7 +156,7 @@ class Record:
         return self.end - self.data_start
 
 
-def parse_record(data: Buffer, at: int, where: str) -> Record:
+def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
     """Read the header of a record.
 
     Raises:
@@ -176,12 +176,12 @@ def parse_record(data: Buffer, at: int, where: str) -> Record:
         raise Malformed(where, f"a record of type {opcode}, which no bag has")
     data_start = header_at + header_bytes + _U32.size
     data_bytes = int(_U32.unpack_from(data, data_start - _U32.size)[0])
-    record = Record(fields, opcode, at, data_start, data_start + data_bytes)
+    record = BagRecord(fields, opcode, at, data_start, data_start + data_bytes)
     _check_lengths(record, where)
     return record
 
 
-def _check_lengths(record: Record, where: str) -> None:
+def _check_lengths(record: BagRecord, where: str) -> None:
     fields, data_bytes = record.fields, record.data_bytes
     if record.opcode == records.MESSAGE:
         fields.u32("conn"), fields.time_ns("time")
@@ -225,8 +225,8 @@ def points_at_messages(content: Buffer, number: int, entries: array[int], layout
     count = len(entries) // 3
     for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
         seconds, nanoseconds, place = entries[3 * at : 3 * at + 3]
-        found = _message_at(content, place, layout)
-        if found != (number, seconds, nanoseconds):
+        actual = _message_at(content, place, layout)
+        if actual != (number, seconds, nanoseconds):
             return False
     return True
 
@@ -261,41 +261,41 @@ def stands_outside_chunks(data: Buffer, at: int) -> bool:
         return False
 
 
-def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool = False) -> Contents:
+def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool = False) -> BagChunkContents:
     """Add the messages in `raw` to the batch.
 
     `ends_early`: `raw` may reach further than the chunk does, because bytes of it are missing: it ends where a record
     stands that no chunk holds.
     """
     holes: list[Hole] = []
-    stretches: list[tuple[int, int]] = []
+    readable_ranges: list[tuple[int, int]] = []
     at, end = 0, len(raw)
     first = at
     # Where the record before begins; behind a hole: none.
     previous = -1
     while at < end:
         before = at
-        at, last = walk_known(raw, at, end, facts, batch)
+        at, last = walk_known_layout(raw, at, end, facts, batch)
         if at == end:
             break
         previous = last if at > before else previous
         try:
             previous, at = at, read_record(raw, at, facts, batch)
         except Malformed as fault:
-            stretches.append((first, at))
+            readable_ranges.append((first, at))
             if ends_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
                 holes.append(Hole(at, at, Malformed(fault.where, "its end is missing")))
-                return Contents(holes, at, tuple(stretches))
+                return BagChunkContents(holes, at, tuple(readable_ranges))
             # The length of the record before may be what is wrong.
-            found = find_record(raw, (at if previous < 0 else previous) + 1, end)
-            after = end if found is None else found
+            record_at = find_record(raw, (at if previous < 0 else previous) + 1, end)
+            after = end if record_at is None else record_at
             holes.append(Hole(at, max(at, after), fault))
             first = at = after
             previous = -1
-    return Contents(holes, end, (*stretches, (first, end)))
+    return BagChunkContents(holes, end, (*readable_ranges, (first, end)))
 
 
-def walk_known(data: Buffer, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
+def walk_known_layout(data: Buffer, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
     """Pass over messages of the layout that is known; return where that ends, and where the last of them begins."""
     return walk_messages(data, at, end, facts.layout, batch) if facts.layout else (at, at)
 
@@ -321,13 +321,13 @@ def read_record(data: Buffer, at: int, facts: BagFacts, batch: Batch) -> int:
     return record.end
 
 
-def add_message(record: Record, batch: Batch) -> None:
+def add_message(record: BagRecord, batch: Batch) -> None:
     """Add one message to the batch."""
     row = (record.fields.time_ns("time"), 0, record.end - record.start)
     batch[record.fields.u32("conn")].extend(row)
 
 
-def define(record: Record, data: bytes, facts: BagFacts, where: str) -> None:
+def define(record: BagRecord, data: bytes, facts: BagFacts, where: str) -> None:
     """Note a connection.
 
     Raises:
@@ -352,7 +352,7 @@ class MessageHead(NamedTuple):
     time_first: bool
 
 
-def open_chunk(stream: ForwardStream) -> StoredChunk:
+def open_chunk(stream: ByteStream) -> StoredChunk:
     """Read a chunk record up to its stored bytes.
 
     Raises:
@@ -363,13 +363,13 @@ def open_chunk(stream: ForwardStream) -> StoredChunk:
     return StoredChunk(compression, head.uncompressed_bytes, 0, head.data_bytes)
 
 
-def read_message_index(source: Source, row: Row) -> FoundMessages | None:
+def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
     """Return what the index data behind a chunk list; None where there are none, or they cannot be read.
 
     Raises:
         SourceError: as `Source.read`.
     """
-    stream, found = open_range(source, row.start, row.end, window=_HEAD_WINDOW), FoundMessages()
+    stream, messages = open_range(source, row.start, row.end, window=_HEAD_WINDOW), ChunkMessages()
     try:
         stream.skip(records.read_chunk_head(stream).data_bytes)
         if not 0 < row.end - stream.position <= MAX_CHUNK_INDEX:
@@ -377,13 +377,13 @@ def read_message_index(source: Source, row: Row) -> FoundMessages | None:
         stream = open_range(source, stream.position, row.end)
         while not stream.at_end():
             number, stamps, _offsets = records.read_index_data(stream)
-            found.add_index(number, stamps)
+            messages.add_index(number, stamps)
     except Malformed:
         return None
-    return found
+    return messages
 
 
-def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
+def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
     """Return the wanted messages of records, in the order in which they stand.
 
     Raises:
@@ -393,7 +393,7 @@ def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Se
     view = content if isinstance(content, bytes) else bytes(content)
     at, size, new = 0, len(view), tuple.__new__
     heads: dict[int, MessageHead] = {}
-    found: Block = []
+    messages: Block = []
     while at + 8 <= size:
         (length,) = _U32.unpack_from(view, at)
         data_at = at + 8 + length
@@ -404,13 +404,13 @@ def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Se
         if end > size:
             raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
         number, log_ns = _read_message_head(view, at + 4, length, heads)
-        channel = wanted.get(number)
+        channel = channels.get(number)
         if channel is not None and start_ns <= log_ns < end_ns:
-            found.append(new(RawMessage, (channel.topic, log_ns, log_ns, 0, view[data_at:end], channel)))
+            messages.append(new(RawMessage, (channel.topic, log_ns, log_ns, 0, view[data_at:end], channel)))
         at = end
     if at != size:
         raise Malformed(f"byte {at} of the chunk", "a record that ends before its fields")
-    return found
+    return messages
 
 
 def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, MessageHead]) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
-from kleinkram.recordings.streams import ForwardStream
+from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
@@ -121,7 +121,7 @@ class BagChunkHead(NamedTuple):
     data_bytes: int
 
 
-def read_fields(stream: ForwardStream) -> tuple[Fields, int]:
+def read_fields(stream: ByteStream) -> tuple[Fields, int]:
     """Read a record up to its data; return its header and the length of the data.
 
     Raises:
@@ -162,7 +162,7 @@ def index_data_bytes(connections: int, messages: int) -> int:
     return connections * _INDEX_HEAD_BYTES + messages * INDEX_ENTRY_BYTES
 
 
-def read_chunk_head(stream: ForwardStream) -> BagChunkHead:
+def read_chunk_head(stream: ByteStream) -> BagChunkHead:
     """Read the header of a chunk record."""
     start = stream.position
     fields, data_bytes = read_fields(stream)
@@ -171,7 +171,7 @@ def read_chunk_head(stream: ForwardStream) -> BagChunkHead:
     return BagChunkHead(fields.text("compression"), fields.u32("size"), stream.position - start, data_bytes)
 
 
-def read_index_data(stream: ForwardStream) -> tuple[int, list[int], array[int]]:
+def read_index_data(stream: ByteStream) -> tuple[int, list[int], array[int]]:
     """Read an index data record; return connection, log times, and offsets in the uncompressed chunk."""
     where = f"byte {stream.position}"
     fields, data_bytes = read_fields(stream)

@@ -10,19 +10,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, PackedTable
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, Int64Table
 from kleinkram.recordings.compression import decompress, decompress_beginning, unreadable_chunk, without_zero_tail
-from kleinkram.recordings.damage_report import ListedChunk, Losses
+from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
-from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, Record, find_record, parse_record, read_contents
+from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, parse_record, read_contents
 from kleinkram.recordings.formats.rosbag1.records import Fields
-from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults, compare_with_scan, new_table
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, compare_with_scan, new_table
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
-from kleinkram.recordings.message_counts import Batch, MessageObserver, Place, PlaceKind, Tally
+from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.sources import Forward
-from kleinkram.recordings.streams import Lookahead
+from kleinkram.recordings.sources import SequentialReader
+from kleinkram.recordings.streams import LookaheadStream
 
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
@@ -43,8 +43,8 @@ class BagScan:
     """
 
     facts: BagFacts = field(default_factory=BagFacts)
-    tally: Tally = field(default_factory=lambda: Tally(with_publish_times=False))
-    losses: Losses = field(default_factory=Losses)
+    counter: MessageCounter = field(default_factory=lambda: MessageCounter(with_publish_times=False))
+    losses: DamageReport = field(default_factory=DamageReport)
     compression: set[str] = field(default_factory=set)
     chunks: int = 0
     index_start: int | None = None
@@ -53,15 +53,15 @@ class BagScan:
     index_faults: IndexFaults = field(default_factory=IndexFaults)
 
 
-class _Scanner:
-    def __init__(self, forward: Forward, observer: MessageObserver | None) -> None:
+class _BagScanner:
+    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
         self.scan = BagScan()
         self.scan.facts.observer = observer
-        self._stream = Lookahead(forward, with_crc=False)
-        self._chunk: ListedChunk | None = None
+        self._stream = LookaheadStream(reader, with_crc=False)
+        self._chunk: IndexedChunk | None = None
         self._claims = Claims()
         self._content = b""
-        self._found = new_table()
+        self._actual_chunks = new_table()
 
     def run(self) -> BagScan:
         scan, stream = self.scan, self._stream
@@ -70,7 +70,7 @@ class _Scanner:
             self._step()
         self._end_chunk()
         self._define()
-        nameless = scan.tally.finish()
+        nameless = scan.counter.finish()
         if nameless:
             scan.losses.note(
                 Malformed(
@@ -85,7 +85,7 @@ class _Scanner:
             scan.listed = claims.settle(scan.losses, connections=connections, chunks=scan.chunks, size_bytes=size)
         if len(claims.listed) and claims.infos >= claims.chunks:
             is_damaged = bool(scan.losses.damage)
-            compare_with_scan(claims.listed, self._found, claims.sets, scan.index_faults, is_damaged=is_damaged)
+            compare_with_scan(claims.listed, self._actual_chunks, claims.sets, scan.index_faults, is_damaged=is_damaged)
         scan.losses.messages_are_known &= scan.refused is None
         scan.index_start = self._claims.index_start
         return scan
@@ -107,14 +107,14 @@ class _Scanner:
         except Malformed as damage:
             self._resync(damage)
 
-    def _parse(self, where: str) -> Record:
+    def _parse(self, where: str) -> BagRecord:
         stream = self._stream
         header_bytes = int.from_bytes(stream.window[stream.at : stream.at + 4], "little")
         if header_bytes <= MAX_HEADER:
             stream.ahead(header_bytes + 8)
         return parse_record(stream.window, stream.at, where)
 
-    def _check_end(self, record: Record, where: str) -> None:
+    def _check_end(self, record: BagRecord, where: str) -> None:
         left = self._stream.left - (record.data_start - record.start)
         if record.data_bytes > left:
             name = _NAMES.get(record.opcode, "a record")
@@ -126,7 +126,7 @@ class _Scanner:
         stream.ahead(LOOK_AHEAD)
         return find_record(stream.window, stream.at + 1, len(stream.window), outside=True) is not None
 
-    def _pass_record(self, record: Record, where: str) -> None:
+    def _pass_record(self, record: BagRecord, where: str) -> None:
         """Read a record that is there as a whole.
 
         Raises:
@@ -149,22 +149,22 @@ class _Scanner:
         elif record.opcode == records.MESSAGE:
             batch = Batch(self.scan.facts.connections)
             chunks.add_message(record, batch)
-            self._tell(Place(PlaceKind.records, stream.position, total, total), batch)
-            self.scan.tally.add(batch)
+            self._notify_observer(MessagePlace(PlaceKind.records, stream.position, total, total), batch)
+            self.scan.counter.add(batch)
         elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
             self._note_index_record(record, where)
         after = stream.at + total
         is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
         if is_at_hand and not chunks.is_record(stream.window, after):
             damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
-            self.scan.losses.vain_bytes += total
+            self.scan.losses.wasted_bytes += total
             if record.opcode == records.CHUNK_INFO:
                 self._claims.forget_chunk_info()
             self._resync(damage, believed=total)
         else:
             stream.advance(total)
 
-    def _note_header(self, record: Record, where: str) -> None:
+    def _note_header(self, record: BagRecord, where: str) -> None:
         if record.fields.text("encryptor", ""):
             self.scan.refused = Malformed(where, "the bag is encrypted", certain=False)
         self._claims.note_header(record.fields)
@@ -175,57 +175,59 @@ class _Scanner:
         if bytes(self._stream.window[padding_at : self._stream.at + record.end - record.start]).strip(b" \0"):
             raise Malformed(where, "the bag header reaches into something else")
 
-    def _note_index_record(self, record: Record, where: str) -> None:
+    def _note_index_record(self, record: BagRecord, where: str) -> None:
         if record.data_bytes > MAX_TAKE:
             raise Malformed(where, f"an index record of {record.data_bytes} bytes", certain=False)
         stream = self._stream
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
-        if record.data_bytes > _LOOK and self.scan.losses.is_patience_spent(stream.position):
+        if record.data_bytes > _LOOK and self.scan.losses.is_search_budget_spent(stream.position):
             raise Malformed(where, "an index record that nothing vouches for")
         data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
         if record.opcode == records.CONNECTION:
-            self.scan.losses.vain_bytes += record.data_bytes
+            self.scan.losses.wasted_bytes += record.data_bytes
             chunks.define(record, data, self.scan.facts, where)
-            self.scan.losses.vain_bytes -= record.data_bytes
+            self.scan.losses.wasted_bytes -= record.data_bytes
             return
         self._claims.note_chunk_info(record.fields, data, where)
 
-    def _pass_chunk(self, record: Record) -> None:
+    def _pass_chunk(self, record: BagRecord) -> None:
         stream, scan = self._stream, self.scan
         start, total, head_bytes = stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         scan.compression.add(compression)
-        before, damaged = scan.tally.messages, len(scan.losses.damage)
+        before, damaged = scan.counter.messages, len(scan.losses.damage)
         try:
             if why := unreadable_chunk(compression, stored=total, uncompressed=uncompressed):
                 raise why
             if compression != "none":
                 scan.losses.unpack(uncompressed, end=start + total)
             stream.ahead(total + _LOOK)
-            self._doubt(total, compression)
+            self._check_search_budget(total, compression)
             stored = stream.window[stream.at + head_bytes : stream.at + total]
-            found, length = self._read_chunk(record, stored)
+            messages, length = self._read_chunk(record, stored)
             stream.advance(length)
         except Malformed as error:
-            self._leave_chunk(start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain))
+            self._skip_damaged_chunk(
+                start, record, Malformed(f"chunk at byte {start}", error.message, certain=error.certain)
+            )
             return
         partly = len(scan.losses.damage) > damaged
-        self._note_found(start, None if partly else found)
+        self._note_chunk(start, None if partly else messages)
         scan.losses.chunks += partly
         scan.chunks += not partly
-        self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=partly)
+        self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=partly)
 
-    def _note_found(self, start: int, found: FoundMessages | None) -> None:
+    def _note_chunk(self, start: int, messages: ChunkMessages | None) -> None:
         """Remember what was found of a chunk; None: not all that it holds."""
-        if found is None:
-            self._found.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
+        if messages is None:
+            self._actual_chunks.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
             return
-        channels = self._claims.sets.number(found.channels)
-        known = UNKNOWN if channels == ANY_CHANNEL and found.channels else found.messages
-        self._found.append(ChunkClaim(start, UNKNOWN, found.first_ns, found.last_ns, channels, known))
+        channels = self._claims.sets.number(messages.channels)
+        known = UNKNOWN if channels == ANY_CHANNEL and messages.channels else messages.messages
+        self._actual_chunks.append(ChunkClaim(start, UNKNOWN, messages.first_ns, messages.last_ns, channels, known))
 
-    def _check_index_data(self, start: int, record: Record) -> None:
+    def _check_index_data(self, start: int, record: BagRecord) -> None:
         """Compare the index data of a connection, which come next, with the messages that they point at."""
         stream, data_at = self._stream, record.data_start - record.start
         stream.ahead(record.end - record.start)
@@ -238,74 +240,76 @@ class _Scanner:
         if not is_right:
             self.scan.index_faults.note(start, "its index data point at something else than its messages")
 
-    def _read_chunk(self, record: Record, stored: memoryview) -> tuple[FoundMessages, int]:
+    def _read_chunk(self, record: BagRecord, stored: memoryview) -> tuple[ChunkMessages, int]:
         """Add the messages of a chunk whose data are at hand; return them, and how many bytes of the file it takes."""
         start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         raw = decompress(compression, stored, uncompressed)
-        place = Place(PlaceKind.chunk, start, total, uncompressed)
-        found, end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
+        place = MessagePlace(PlaceKind.chunk, start, total, uncompressed)
+        messages, end = self._read_contents(raw, record.data_bytes, place, ends_early=compression == "none")
         self._content = raw
-        return found, total if end == len(raw) else head_bytes + end
+        return messages, total if end == len(raw) else head_bytes + end
 
-    def _read_contents(self, raw: bytes, stored: int, place: Place, *, ends_early: bool) -> tuple[FoundMessages, int]:
+    def _read_contents(
+        self, raw: bytes, stored: int, place: MessagePlace, *, ends_early: bool
+    ) -> tuple[ChunkMessages, int]:
         """Add the messages of a chunk; return them, and where in `raw` it ends."""
         scan = self.scan
         batch = Batch(scan.facts.connections)
-        holes, end, stretches = read_contents(raw, scan.facts, batch, ends_early=ends_early)
+        holes, end, readable_ranges = read_contents(raw, scan.facts, batch, ends_early=ends_early)
         self._define()
-        self._tell(place._replace(stretches=stretches) if holes else place, batch)
-        scan.tally.add(batch, stored=stored, uncompressed=len(raw))
+        self._notify_observer(place._replace(readable_ranges=readable_ranges) if holes else place, batch)
+        scan.counter.add(batch, stored=stored, uncompressed=len(raw))
         for hole in holes:
             message = f"{hole.fault.message} ({hole.start} bytes into it)"
             scan.losses.note(Malformed(f"chunk at byte {place.start}", message))
             scan.losses.bytes += (hole.end - hole.start) * stored // len(raw)
         if end < len(raw):
             scan.losses.messages_are_known = False
-            scan.losses.vain_bytes += len(raw)
-        found = FoundMessages()
-        found.add(batch)
-        return found, end
+            scan.losses.wasted_bytes += len(raw)
+        messages = ChunkMessages()
+        messages.add(batch)
+        return messages, end
 
-    def _leave_chunk(self, start: int, record: Record, damage: Malformed) -> None:
+    def _skip_damaged_chunk(self, start: int, record: BagRecord, damage: Malformed) -> None:
         """Go on behind a damaged chunk, if something stands there; else search."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
-        total, before, used = record.end - record.start, scan.tally.messages, 0
+        total, before, used = record.end - record.start, scan.counter.messages, 0
         if stream.position == start and (after := stream.at + total) <= len(stream.window):
             stored = bytes(stream.window[after - record.data_bytes : after])
             zeroed = without_zero_tail(record.fields.text("compression"), stored)
             # Bytes of it may be missing, so that its length reaches over the next one.
             is_short = (
-                not scan.losses.is_patience_spent(start)
+                not scan.losses.is_search_budget_spent(start)
                 and find_record(stream.window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
             )
             is_followed = zeroed is not None or chunks.stands_outside_chunks(stream.window, after)
             if stream.left > total and (is_short or not is_followed):
-                scan.losses.vain_bytes += total
+                scan.losses.wasted_bytes += total
                 self._resync(damage)
                 return
             if zeroed is not None:
                 used = self._save_beginning(zeroed, record)
         scan.losses.note(damage)
-        self._note_found(start, None)
+        self._note_chunk(start, None)
         stream.advance(start + total - stream.position)
         scan.losses.bytes += total - used
-        self._chunk = ListedChunk(start, scan.tally.messages - before, damaged=True)
+        self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
-    def _doubt(self, total: int, compression: str) -> None:
+    def _check_search_budget(self, total: int, compression: str) -> None:
         """Refuse a chunk that would be read in vain, as so many before it.
 
         Raises:
             Malformed: the patience is spent, and nothing vouches for the chunk.
         """
         stream = self._stream
-        if self.scan.losses.is_patience_spent(stream.position) and (
+        if self.scan.losses.is_search_budget_spent(stream.position) and (
             compression == "none" or not chunks.stands_outside_chunks(stream.window, stream.at + total)
         ):
             raise Malformed("chunk", "nothing vouches for it")
 
-    def _read_cut_chunk(self, record: Record, cut: Cut) -> None:
+    def _read_cut_chunk(self, record: BagRecord, cut: Cut) -> None:
         """Save what there is of a chunk that reaches beyond the end of the file."""
         stream, scan = self._stream, self.scan
         try:
@@ -325,7 +329,7 @@ class _Scanner:
         scan.losses.messages_are_known = False
         stream.advance(stream.left)
 
-    def _save_beginning(self, stored: bytes, record: Record) -> int:
+    def _save_beginning(self, stored: bytes, record: BagRecord) -> int:
         """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
         scan, head_bytes = self.scan, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
@@ -334,10 +338,13 @@ class _Scanner:
             return 0
         raw = decompress_beginning(compression, stored, uncompressed)
         batch = Batch(scan.facts.connections)
-        holes, _, stretches = read_contents(raw, scan.facts, batch)
+        holes, _, readable_ranges = read_contents(raw, scan.facts, batch)
         self._define()
-        self._tell(Place(PlaceKind.cut, self._stream.position, head_bytes + len(stored), len(raw), stretches), batch)
-        scan.losses.unproven += scan.tally.add(batch, stored=len(stored), uncompressed=len(raw))
+        self._notify_observer(
+            MessagePlace(PlaceKind.cut, self._stream.position, head_bytes + len(stored), len(raw), readable_ranges),
+            batch,
+        )
+        scan.losses.unverified += scan.counter.add(batch, stored=len(stored), uncompressed=len(raw))
         followed = len(raw) - sum(hole.end - hole.start for hole in holes)
         return head_bytes + len(stored) * followed // len(raw) if followed else 0
 
@@ -352,9 +359,9 @@ class _Scanner:
         while stream.left:
             at_hand = stream.ahead(_SEARCH_BYTES)
             width = at_hand if at_hand == stream.left else at_hand - _LOOK
-            found = find_record(stream.window, stream.at, stream.at + width)
-            stream.advance(width if found is None else found - stream.at)
-            if found is not None:
+            record_at = find_record(stream.window, stream.at, stream.at + width)
+            stream.advance(width if record_at is None else record_at - stream.at)
+            if record_at is not None:
                 break
         scan.losses.bytes += max(0, stream.position - start)
 
@@ -364,21 +371,21 @@ class _Scanner:
             self._chunk.settle(self.scan.losses)
             self._chunk, self._content = None, b""
 
-    def _tell(self, place: Place, batch: Batch) -> None:
+    def _notify_observer(self, place: MessagePlace, batch: Batch) -> None:
         if self.scan.facts.observer is not None:
             self.scan.facts.observer.on_messages(place, batch)
 
     def _define(self) -> None:
-        self.scan.tally.learn(self.scan.facts.connections)
+        self.scan.counter.learn(self.scan.facts.connections)
 
 
-def scan_bag_records(forward: Forward, observer: MessageObserver | None = None) -> BagScan:
+def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None = None) -> BagScan:
     """Read a whole bag. Its content never raises. The observer receives every message that is counted.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
-    return _Scanner(forward, observer).run()
+    return _BagScanner(reader, observer).run()
 
 
 @dataclass
@@ -397,7 +404,7 @@ class Claims:
     infos: int = 0
     messages: int = 0
     sets: ChannelSets = field(default_factory=ChannelSets)
-    listed: PackedTable[ChunkClaim] = field(default_factory=new_table)
+    listed: Int64Table[ChunkClaim] = field(default_factory=new_table)
     _latest: int = 0
 
     def note_header(self, fields: Fields) -> None:
@@ -426,7 +433,7 @@ class Claims:
         self.infos -= 1
         self.messages -= self._latest
 
-    def settle(self, losses: Losses, *, connections: int, chunks: int, size_bytes: int) -> int | None:
+    def settle(self, losses: DamageReport, *, connections: int, chunks: int, size_bytes: int) -> int | None:
         """Compare with the connections and the readable chunks that came; note what is missing as lost.
 
         Returns:

@@ -31,7 +31,7 @@ class BagCompression(str, Enum):
 
 
 @dataclass
-class _Chunk:
+class _BagChunk:
     """The chunk being filled."""
 
     pieces: list[bytes] = field(default_factory=list)
@@ -54,7 +54,7 @@ class BagWriter:
         self._compression = compression
         self._compress = _compressor(compression)
         self._chunk_bytes = chunk_bytes
-        self._chunk = _Chunk()
+        self._chunk = _BagChunk()
         self._position = 0
         self._raw_bytes = self._stored_bytes = 0
         self._connections: list[bytes] = []
@@ -128,14 +128,14 @@ class BagWriter:
             head = _fields(op=bytes([records.INDEX_DATA]), ver=_u32(1), conn=_u32(connection), count=_u32(count))
             self._put(_record(head, struct.pack(f"<{len(index)}I", *index)))
         self._chunk_infos.append(_record(_chunk_info_head(start, chunk, len(counts)), b"".join(counts)))
-        self._chunk = _Chunk()
+        self._chunk = _BagChunk()
 
     def _put(self, data: bytes) -> None:
         self._file.write(data)
         self._position += len(data)
 
 
-def _chunk_info_head(start: int, chunk: _Chunk, connections: int) -> bytes:
+def _chunk_info_head(start: int, chunk: _BagChunk, connections: int) -> bytes:
     return _fields(
         op=bytes([records.CHUNK_INFO]),
         ver=_u32(1),

@@ -23,7 +23,7 @@ from typing import BinaryIO, NamedTuple
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.sources import FileForward
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 CACHE_KIB = 16 * 1024
@@ -151,10 +151,10 @@ def check_tables(database: sqlite3.Connection) -> None:
         Malformed: they are not.
         sqlite3.Error: the schema cannot be read.
     """
-    found = database.execute(
+    rows = database.execute(
         "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages') AND type != 'index'"
     ).fetchall()
-    kinds = {name: "virtual table" if kind == "table" and not root else kind for name, kind, root in found}
+    kinds = {name: "virtual table" if kind == "table" and not root else kind for name, kind, root in rows}
     for table, needed in (("topics", {"name", "type"}), ("messages", {"topic_id", "timestamp", "data"})):
         if kinds.get(table) != "table":
             what = f"is a {kinds[table]}" if table in kinds else "is missing"
@@ -175,11 +175,11 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
         Malformed: there are more than is credible.
         sqlite3.Error: they cannot be read.
     """
-    there = columns(database, "topics")
-    wanted = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in there else "''" for name in _TEXT_COLUMNS)
+    present = columns(database, "topics")
+    columns_sql = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in present else "''" for name in _TEXT_COLUMNS)
     topics: list[TopicRow] = []
     names_bytes = 0
-    for topic_id, *texts in database.execute(f"SELECT rowid, {wanted} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
+    for topic_id, *texts in database.execute(f"SELECT rowid, {columns_sql} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
         row = TopicRow(topic_id, *(text if isinstance(text, str) else "" for text in texts))
         names_bytes += sum(map(len, row[1:]))
         if len(topics) >= MAX_TOPICS or names_bytes > MAX_NAMES:
@@ -217,8 +217,8 @@ def read_origin(database: sqlite3.Connection) -> Origin:
 
 def _stated_value(text: str, key: str) -> str:
     """Return a value at the top of the metadata as a recorder writes it: YAML, one key a line, in whatever case."""
-    found = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
-    return found[1].lower() if found else ""
+    match = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
+    return match[1].lower() if match else ""
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
@@ -250,7 +250,7 @@ _JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode", "wal_checkpoint", "schema_version"))
 
 
-def find_leftovers(path: Path, name: str | None = None) -> list[Problem]:
+def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
     """Name the log and the journal beside a database that hold something it does not; `name`: what it is called.
 
     Raises:
@@ -278,7 +278,7 @@ def find_leftovers(path: Path, name: str | None = None) -> list[Problem]:
     return problems
 
 
-def not_read(left: Sequence[Problem]) -> list[Problem]:
+def log_not_read(left: Sequence[Problem]) -> list[Problem]:
     """Say that what was found beside a database could not be applied to a copy."""
     return [Problem("log-not-read", left[0].where, "its content could not be read along")] if left else []
 
@@ -294,8 +294,8 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
     """
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:
-        with FileForward(path) as database:
-            logs = {suffix: FileForward(f"{path}{suffix}") for suffix in present}
+        with FileReader(path) as database:
+            logs = {suffix: FileReader(f"{path}{suffix}") for suffix in present}
             reads = {suffix: log.read for suffix, log in logs.items()}
             with temporary_database(database.read, reads) as copy:
                 for log in logs.values():
@@ -370,3 +370,21 @@ def _differs(database: BinaryIO, log: BinaryIO, page_bytes: int, number: int, at
     database.seek((number - 1) * page_bytes)
     logged = log.read(page_bytes)
     return len(logged) == page_bytes and logged != database.read(page_bytes)
+
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+def is_database(head: bytes) -> bool:
+    """Say by its first bytes whether a file is an SQLite database, of whatever content."""
+    return head.startswith(_SQLITE_MAGIC)
+
+
+def is_database_in_log(head: bytes, path: Path | None) -> bool:
+    """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
+
+    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
+    """
+    if path is None or not is_database(head) or path.suffix.lower() != ".db3":
+        return False
+    return any(Path(f"{path}{suffix}").is_file() for suffix in LOG_SUFFIXES)

@@ -245,9 +245,9 @@ def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) ->
     stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
     expected = _FORMATS.get(metadata.storage or "")
     for member in members:
-        found = member.format if member.format in _FORMATS.values() else None
-        if expected is not None and found is not None and found is not expected:
-            message = f"metadata.yaml says its storage is {metadata.storage}, but it is {found.value}"
+        actual_format = member.format if member.format in _FORMATS.values() else None
+        if expected is not None and actual_format is not None and actual_format is not expected:
+            message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
             problems.append(Problem("metadata-storage", member.name, message))
         claimed = stated[member.name].message_count if member.name in stated else None
         if len(members) > 1 and claimed is not None and member.message_count not in (None, claimed):
@@ -266,9 +266,9 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
     stated = {topic.name: topic.message_count for topic in metadata.topics}
     for name in sorted(stated.keys() | topics.keys()):
         claimed = stated.get(name, 0)
-        found = topics[name].message_count if name in topics else 0
-        if claimed is not None and found is not None and claimed != found:
-            message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {found}"
+        actual = topics[name].message_count if name in topics else 0
+        if claimed is not None and actual is not None and claimed != actual:
+            message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {actual}"
             problems.append(Problem("metadata-topic-count", name, message))
     return problems
 
@@ -280,16 +280,16 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFact
         if encoding and encoding not in KNOWN_ENCODINGS:
             message = f"metadata.yaml says its messages are encoded as '{encoding}', which is no encoding that we know"
             problems.append(Problem("metadata-encoding", topic.name, message))
-        found = topics.get(topic.name)
-        if found is None:
+        actual = topics.get(topic.name)
+        if actual is None:
             continue
-        if found.message_encoding and encoding and encoding in KNOWN_ENCODINGS and encoding != found.message_encoding:
+        if actual.message_encoding and encoding and encoding in KNOWN_ENCODINGS and encoding != actual.message_encoding:
             message = (
-                f"metadata.yaml says its messages are encoded as {encoding}, the files say {found.message_encoding}"
+                f"metadata.yaml says its messages are encoded as {encoding}, the files say {actual.message_encoding}"
             )
             problems.append(Problem("metadata-encoding", topic.name, message))
-        if found.message_type and topic.message_type and _short(topic.message_type) != _short(found.message_type):
-            message = f"metadata.yaml says its type is {topic.message_type}, the files say {found.message_type}"
+        if actual.message_type and topic.message_type and _short(topic.message_type) != _short(actual.message_type):
+            message = f"metadata.yaml says its type is {topic.message_type}, the files say {actual.message_type}"
             problems.append(Problem("metadata-type", topic.name, message))
     return problems
 
@@ -309,7 +309,7 @@ def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
         # Early recorders of split sets wrote the start of the last file, and the duration of the longest.
         accepted.append((spans[-1][0], max(last - first for first, last in spans)))
     claimed = (metadata.start_ns, metadata.duration_ns)
-    if any(_agree(claimed, found) for found in accepted):
+    if any(_agree(claimed, actual) for actual in accepted):
         return []
     if abs(metadata.start_ns - start) > _CREDIBLE_NS:
         return []  # a clock that was not set: told of the stamps themselves
@@ -319,5 +319,5 @@ def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
     return [Problem("metadata-span", METADATA_NAME, message)]
 
 
-def _agree(claimed: tuple[int, int], found: tuple[int, int]) -> bool:
-    return all(abs(a - b) <= _TOLERANCE_NS for a, b in zip(claimed, found, strict=True))
+def _agree(claimed: tuple[int, int], actual: tuple[int, int]) -> bool:
+    return all(abs(a - b) <= _TOLERANCE_NS for a, b in zip(claimed, actual, strict=True))

@@ -207,8 +207,8 @@ def local_bytes(payload_bytes: int, usable_bytes: int) -> int:
     if payload_bytes <= usable_bytes - 35:
         return payload_bytes
     least = (usable_bytes - 12) * 32 // 255 - 23
-    kept = least + (payload_bytes - least) % (usable_bytes - 4)
-    return kept if kept <= usable_bytes - 35 else least
+    in_page = least + (payload_bytes - least) % (usable_bytes - 4)
+    return in_page if in_page <= usable_bytes - 35 else least
 
 
 def leaf_cells(page: bytes, start: int, usable_bytes: int) -> Iterator[Cell | None]:

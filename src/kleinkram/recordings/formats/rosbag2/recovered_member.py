@@ -11,13 +11,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
-from kleinkram.recordings.damage_report import Noticed
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
-from kleinkram.recordings.formats.mcap.format import MCAP
+from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery
-from kleinkram.recordings.member import ChunkedMember, Contents
+from kleinkram.recordings.member import ChunkedMember, MemberContents
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import FileSource
@@ -28,7 +28,7 @@ _LATEST_NS = 2**63 - 1
 
 
 def open_recovered(
-    path: Path, name: str, noticed: Noticed, stack: ExitStack, *, message_compression: str = ""
+    path: Path, name: str, problem_log: ProblemLog, stack: ExitStack, *, message_compression: str = ""
 ) -> ChunkedMember:
     """Open what is left of a database; the temporary file goes with the stack.
 
@@ -39,7 +39,7 @@ def open_recovered(
     channels: dict[int, Channel] = {}
     try:
         with Recovery(path, name) as recovery:
-            numbers = {topic.topic_id: number for number, topic in enumerate(recovery.found.topics)}
+            numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
             channels = {
                 number: Channel(
                     topic.name,
@@ -47,22 +47,22 @@ def open_recovered(
                     Schema(topic.message_type, "", b""),
                     message_compression,
                 )
-                for number, topic in enumerate(recovery.found.topics)
+                for number, topic in enumerate(recovery.result.topics)
             }
             copy = stack.enter_context(temporary_copy(_reading(_records(recovery, numbers, counts))))
-            found = recovery.found
-            lost = counted(found.lost_messages, "message is", "messages are")
-            message = f"{found.first_damage or 'it is damaged'}; at least {lost} lost"
-            noticed.add("damaged", f"{name}: pages", message)
+            result = recovery.result
+            lost = counted(result.lost_messages, "message is", "messages are")
+            message = f"{result.first_damage or 'it is damaged'}; at least {lost} lost"
+            problem_log.add("damaged", f"{name}: pages", message)
     except Malformed as error:
-        noticed.add("damaged", f"{name}: pages", f"nothing of it can be read: {error}")
+        problem_log.add("damaged", f"{name}: pages", f"nothing of it can be read: {error}")
         copy = stack.enter_context(temporary_copy(lambda _: b""))
     except TooLarge as error:
         raise SourceError(f"{name}: {error}") from error
     source = stack.enter_context(FileSource(copy))
     table = table_of_records(open_range(source, 0, source.size_bytes))
-    contents = Contents(channels, counts, sum(counts.values()), *table.span())
-    return ChunkedMember(source, MCAP, table, contents, noticed)
+    contents = MemberContents(channels, counts, sum(counts.values()), *table.span())
+    return ChunkedMember(source, MCAP_CHUNKS, table, contents, problem_log)
 
 
 def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]) -> Iterator[bytes]:

@@ -67,7 +67,7 @@ class Recovery:
         self._file = PageFile(path, name)
         header = self._file.header
         size = self._file.size_bytes
-        self.found = Recovered(size, header.page_count * header.page_bytes or size)
+        self.result = Recovered(size, header.page_count * header.page_bytes or size)
         self._damaged: set[int] = set()
         self._topics: dict[int, TopicRow] = {}
         self._leaves = array("Q")
@@ -114,9 +114,9 @@ class Recovery:
                 self._look_at(number, self._file.page(number))
         tail = self._file.size_bytes % self._file.header.page_bytes
         if tail:
-            self.found.damaged_pages += 1
-            self.found.damaged_bytes += tail
-        self.found.topics = [self._topics[topic_id] for topic_id in sorted(self._topics)]
+            self.result.damaged_pages += 1
+            self.result.damaged_bytes += tail
+        self.result.topics = [self._topics[topic_id] for topic_id in sorted(self._topics)]
 
     def _look_at(self, number: int, page: bytes) -> None:
         kind = page[pages.HEADER_BYTES if number == 1 else 0]
@@ -172,8 +172,8 @@ class Recovery:
                 if not _is_message(columns):
                     self._note(number, "a row of it is no message")
                 elif cell.overflow_page and not self._is_whole(cell):
-                    self.found.cut_messages += 1
-                    self.found.damaged_bytes += cell.local_bytes
+                    self.result.cut_messages += 1
+                    self.result.damaged_bytes += cell.local_bytes
                 else:
                     topic_id = pages.read_integer(columns[1], page, cell.at)
                     timestamp = pages.read_integer(columns[2], page, cell.at)
@@ -213,19 +213,19 @@ class Recovery:
         if number in self._damaged:
             return
         self._damaged.add(number)
-        self.found.damaged_pages += 1
-        self.found.damaged_bytes += self._file.header.page_bytes
-        if not self.found.first_damage:
-            self.found.first_damage = f"page {number} is damaged: {what}"
+        self.result.damaged_pages += 1
+        self.result.damaged_bytes += self._file.header.page_bytes
+        if not self.result.first_damage:
+            self.result.first_damage = f"page {number} is damaged: {what}"
 
     def _measure(self, highest: int, count: int) -> None:
         leaf, key = self._file.last_leaf(self._roots.get("messages", 0))
         numbered = max(highest, key)
         # A number that no file of this size can have reached is itself damage.
-        if numbered <= self.found.claimed_bytes // _LEAST_ROW_BYTES:
-            self.found.lost_messages = max(numbered - count, 0)
-            self.found.is_exact = leaf > 0 and leaf not in self._damaged
-        self.found.lost_messages = max(self.found.lost_messages, self.found.cut_messages)
+        if numbered <= self.result.claimed_bytes // _LEAST_ROW_BYTES:
+            self.result.lost_messages = max(numbered - count, 0)
+            self.result.is_exact = leaf > 0 and leaf not in self._damaged
+        self.result.lost_messages = max(self.result.lost_messages, self.result.cut_messages)
 
 
 def _is_message(columns: list[Column]) -> bool:
