@@ -4,7 +4,7 @@ import statistics
 from pathlib import Path
 
 from benchmarks.measure import Run, take_turns
-from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.reading import Recording
 
 _SIDES = "benchmarks.arrow_sides"

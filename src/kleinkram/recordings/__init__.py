@@ -6,24 +6,31 @@ process give it (`summarise_isolated`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 
-Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2.metadata`, `http_source` (needs urllib3) and
-`sample`, which makes sample missions.
+Submodules: `reading` (messages), `inspect`, `isolation`, `http_source`, and `sample`, which makes sample missions.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.combining import combine
+    from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.forward import Forward, from_file, from_pipe, from_source
-    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
+    from kleinkram.recordings.formats.registry import sniff
+    from kleinkram.recordings.formats.rosbag2.metadata import (
+        MemberFacts,
+        Rosbag2Metadata,
+        TopicFacts,
+        compare_metadata,
+        parse_rosbag2_metadata,
+    )
+    from kleinkram.recordings.grouping import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
         FileRequest,
         StreamRequest,
         UrlRequest,
+        from_dict,
         metadata_request_bytes,
         read_answer,
         read_metadata_answer,
@@ -31,6 +38,7 @@ if TYPE_CHECKING:
         stream_request_bytes,
         summarise_isolated,
         timed_out,
+        to_dict,
     )
     from kleinkram.recordings.model import (
         Content,
@@ -42,11 +50,15 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
-    from kleinkram.recordings.rosbag2.comparing import MemberFacts, TopicFacts, compare_metadata
-    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, parse_rosbag2_metadata
-    from kleinkram.recordings.serialise import from_dict, to_dict
-    from kleinkram.recordings.sniffing import sniff
-    from kleinkram.recordings.sources import CountingSource, FileSource, Source
+    from kleinkram.recordings.sources import (
+        CountingSource,
+        FileSource,
+        SequentialReader,
+        Source,
+        file_reader,
+        pipe_reader,
+        source_reader,
+    )
     from kleinkram.recordings.summary import scan, summarise
 
 __all__ = [
@@ -59,16 +71,16 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
-    "Forward",
-    "GroupKind",
     "Lost",
     "MemberFacts",
     "Problem",
     "RecordingError",
     "RecordingFormat",
     "RecordingGroup",
+    "RecordingGroupKind",
     "RecordingSummary",
     "Rosbag2Metadata",
+    "SequentialReader",
     "Source",
     "SourceError",
     "StreamRequest",
@@ -78,19 +90,19 @@ __all__ = [
     "UrlRequest",
     "combine",
     "compare_metadata",
+    "file_reader",
     "from_dict",
-    "from_file",
-    "from_pipe",
-    "from_source",
     "group",
     "is_recording_name",
     "metadata_request_bytes",
     "parse_rosbag2_metadata",
+    "pipe_reader",
     "read_answer",
     "read_metadata_answer",
     "request_bytes",
     "scan",
     "sniff",
+    "source_reader",
     "stream_request_bytes",
     "summarise",
     "summarise_isolated",
@@ -99,16 +111,26 @@ __all__ = [
 ]
 
 _HOMES = {
-    "combining": ("combine",),
+    "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "forward": ("Forward", "from_file", "from_pipe", "from_source"),
-    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "sources": (
+        "CountingSource",
+        "FileSource",
+        "SequentialReader",
+        "Source",
+        "file_reader",
+        "pipe_reader",
+        "source_reader",
+    ),
+    "grouping": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",
         "FileRequest",
         "StreamRequest",
         "UrlRequest",
+        "from_dict",
+        "to_dict",
         "metadata_request_bytes",
         "read_answer",
         "read_metadata_answer",
@@ -118,11 +140,14 @@ _HOMES = {
         "timed_out",
     ),
     "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "rosbag2.comparing": ("MemberFacts", "TopicFacts", "compare_metadata"),
-    "rosbag2.metadata": ("Rosbag2Metadata", "parse_rosbag2_metadata"),
-    "serialise": ("from_dict", "to_dict"),
-    "sniffing": ("sniff",),
-    "sources": ("CountingSource", "FileSource", "Source"),
+    "formats.rosbag2.metadata": (
+        "MemberFacts",
+        "Rosbag2Metadata",
+        "TopicFacts",
+        "compare_metadata",
+        "parse_rosbag2_metadata",
+    ),
+    "formats.registry": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -22,7 +22,7 @@ MAX_BINS = 256
 MANY_TOPICS = 4096
 """In a file with more topics,"""
 
-FEW_BINS = 64
+BINS_OF_MANY_TOPICS = 64
 """there are so many bins of each."""
 
 _HEAD = struct.Struct("<BBQ")
@@ -32,7 +32,7 @@ _LARGEST = [2 ** (8 * array(code).itemsize) - 1 for code in _CODES]
 
 def most_bins(topics: int) -> int:
     """Return how many bins each of so many topics has, so that all together stay small."""
-    return MAX_BINS if topics <= MANY_TOPICS else FEW_BINS
+    return MAX_BINS if topics <= MANY_TOPICS else BINS_OF_MANY_TOPICS
 
 
 def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> Density:

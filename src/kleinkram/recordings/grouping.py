@@ -15,19 +15,22 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata
+from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.formats.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
 
 METADATA_NAME = "metadata.yaml"
 # `.active`: a bag whose recorder was killed, or is still at work.
-_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
+_RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2|ulg)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
 _ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)
 _TIMED_ROSBAG2 = re.compile(
     r"(?P<folder>(.*/)?)(?P<number>\d+)_(?P<name>[^/]+)_(?P<time>\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d)"
@@ -46,7 +49,7 @@ _TIME_AT_END = re.compile(
 )
 
 
-class GroupKind(str, Enum):
+class RecordingGroupKind(str, Enum):
     """What holds the files of a recording together."""
 
     single = "single"
@@ -66,7 +69,7 @@ class RecordingGroup:
     """
 
     name: str
-    kind: GroupKind
+    kind: RecordingGroupKind
     members: tuple[str, ...]
     metadata_path: str | None = None
 
@@ -91,21 +94,21 @@ def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = N
             metadata[folder] = path
     groups: list[RecordingGroup] = []
     for folder in folders.keys() | metadata.keys():
-        said = (stated or {}).get(metadata.get(folder, ""))
-        groups += _group_folder(folder, folders[folder], metadata.get(folder), said)
-    return sorted(groups, key=lambda found: (found.name, found.kind.value))
+        folder_metadata = (stated or {}).get(metadata.get(folder, ""))
+        groups += _group_folder(folder, folders[folder], metadata.get(folder), folder_metadata)
+    return sorted(groups, key=lambda recording: (recording.name, recording.kind.value))
 
 
 def _group_folder(
-    folder: str, paths: list[str], metadata_path: str | None, said: Rosbag2Metadata | None
+    folder: str, paths: list[str], metadata_path: str | None, metadata: Rosbag2Metadata | None
 ) -> list[RecordingGroup]:
-    if metadata_path is None or (said is not None and said.is_other):
+    if metadata_path is None or (metadata is not None and metadata.is_other):
         return _group_by_name(paths)
-    own = _members(folder, paths, said)
-    if not own and (said is None or not said.files):
+    own = _members(folder, paths, metadata)
+    if not own and (metadata is None or not metadata.files):
         return _group_by_name(paths)
-    found, owned = RecordingGroup(folder or ".", GroupKind.rosbag2, tuple(own), metadata_path), set(own)
-    return [found, *_group_by_name([path for path in paths if path not in owned])]
+    recording, owned = RecordingGroup(folder or ".", RecordingGroupKind.rosbag2, tuple(own), metadata_path), set(own)
+    return [recording, *_group_by_name([path for path in paths if path not in owned])]
 
 
 class _DataFile(NamedTuple):
@@ -137,16 +140,16 @@ def _parse_name(path: str) -> _DataFile | None:
 
 
 def _ends_in_time(name: str) -> bool:
-    return any(found.end() == len(name) for found in _TIME_AT_END.finditer(name))
+    return any(match.end() == len(name) for match in _TIME_AT_END.finditer(name))
 
 
-def _members(folder: str, paths: list[str], said: Rosbag2Metadata | None) -> list[str]:
+def _members(folder: str, paths: list[str], metadata: Rosbag2Metadata | None) -> list[str]:
     """Return the files that the metadata.yaml of a folder is about."""
     by_stem: dict[str, list[_DataFile]] = defaultdict(list)
     for path in paths:
         if (file := _parse_name(path)) is not None:
             by_stem[file.stem].append(file)
-    named = {PurePosixPath(path).name: number for number, path in enumerate(said.files)} if said else {}
+    named = {PurePosixPath(path).name: number for number, path in enumerate(metadata.files)} if metadata else {}
     here = sorted((named[name], path) for path in paths if (name := PurePosixPath(path).name) in named)
     stem = _stem_of_folder(folder, set(by_stem))
     if not here:
@@ -182,14 +185,16 @@ def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
             timed[file.stem, file.suffix].append((file.time, file.number, path))
         else:
             sets[file.stem, file.suffix].append(file)
-    splits = [found for (stem, suffix), members in sets.items() for found in _group_split(stem + suffix, members)]
+    splits = [
+        recording for (stem, suffix), members in sets.items() for recording in _group_split(stem + suffix, members)
+    ]
     return [*_group_bags(others), *splits, *_group_timed(timed.values())]
 
 
 def _group_split(name: str, files: Iterable[_DataFile]) -> list[RecordingGroup]:
     files = _in_order(files)
     if len(files) > 1 and files[0].number == 0:
-        return [RecordingGroup(name, GroupKind.split_set, tuple(file.path for file in files))]
+        return [RecordingGroup(name, RecordingGroupKind.split_set, tuple(file.path for file in files))]
     return [_single(file.path) for file in files]
 
 
@@ -220,10 +225,112 @@ def _group_timed(sets: Iterable[list[_Timed]]) -> list[RecordingGroup]:
             recordings[-1].append(path)
             previous = number
     return [
-        RecordingGroup(found[0], GroupKind.split_set, tuple(found)) if len(found) > 1 else _single(found[0])
-        for found in recordings
+        RecordingGroup(paths[0], RecordingGroupKind.split_set, tuple(paths)) if len(paths) > 1 else _single(paths[0])
+        for paths in recordings
     ]
 
 
 def _single(path: str) -> RecordingGroup:
-    return RecordingGroup(path, GroupKind.single, (path,))
+    return RecordingGroup(path, RecordingGroupKind.single, (path,))
+
+
+@dataclass(frozen=True)
+class UnreadableFolder:
+    """A folder below the one that was read, and why its files are not known."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True)
+class FolderRecordings:
+    """The recordings in a folder and below it; paths in it are relative to the folder.
+
+    Attributes:
+        groups: the files of each recording.
+        metadata: what each metadata.yaml says; without those that are damaged.
+        unreadable_files: what is no readable file though its name is that of one, and why: links to nothing, a
+            metadata.yaml without permission. Without that, recordings are grouped by the names of their files. Data
+            files are not opened here.
+        unreadable_folders: folders that cannot be listed.
+    """
+
+    groups: tuple[RecordingGroup, ...]
+    metadata: Mapping[str, Rosbag2Metadata]
+    unreadable_files: Mapping[str, SourceError]
+    unreadable_folders: tuple[UnreadableFolder, ...]
+
+    def metadata_of(self, recording: RecordingGroup) -> Rosbag2Metadata | None:
+        """Return what the metadata.yaml of a recording says; None where it has none, or a damaged one."""
+        return self.metadata.get(recording.metadata_path or "")
+
+
+def read_folder(folder: Path) -> FolderRecordings:
+    """Find the recordings in a folder and below it. Links to folders are not followed."""
+    names: list[str] = []
+    unreadable_folders: list[UnreadableFolder] = []
+    unreadable_files: dict[str, SourceError] = {}
+
+    def note(error: OSError) -> None:
+        unreadable_folders.append(UnreadableFolder(Path(error.filename), error.strerror or str(error)))
+
+    for here, _, files in os.walk(folder, onerror=note):
+        for path in (Path(here) / name for name in files):
+            name = path.relative_to(folder).as_posix()
+            reason = _why_no_file(path)
+            if reason is None:
+                names.append(name)
+            elif is_recording_name(name) or path.name == METADATA_NAME:
+                unreadable_files[name] = SourceError(f"{path}: cannot be read: {reason}")
+    recordings = _group_names(folder, names)
+    return replace(
+        recordings,
+        unreadable_files={**unreadable_files, **recordings.unreadable_files},
+        unreadable_folders=tuple(unreadable_folders),
+    )
+
+
+def _why_no_file(path: Path) -> str | None:
+    try:
+        return None if stat.S_ISREG(path.stat().st_mode) else "it is not a regular file"
+    except FileNotFoundError:
+        return "it is a link to nothing"
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def recording_of_metadata(path: Path) -> tuple[FolderRecordings, RecordingGroup] | None:
+    """Find the recording that a metadata.yaml is about, among the files beside it; None where it is about none.
+
+    Raises:
+        SourceError: it cannot be read.
+    """
+    names = [file.name for file in path.parent.iterdir() if _why_no_file(file) is None]
+    recordings = _group_names(path.parent, names)
+    if error := recordings.unreadable_files.get(path.name):
+        raise error
+    own = next((recording for recording in recordings.groups if recording.metadata_path == path.name), None)
+    return None if own is None else (recordings, own)
+
+
+def _group_names(folder: Path, names: list[str]) -> FolderRecordings:
+    metadata: dict[str, Rosbag2Metadata] = {}
+    unreadable: dict[str, SourceError] = {}
+    for name in names:
+        if name.rpartition("/")[2] != METADATA_NAME:
+            continue
+        try:
+            if (stated := _read_metadata(folder / name)) is not None:
+                metadata[name] = stated
+        except SourceError as error:
+            unreadable[name] = error
+    groups = group((name for name in names if name not in unreadable), metadata)
+    return FolderRecordings(tuple(groups), metadata, unreadable, ())
+
+
+def _read_metadata(path: Path) -> Rosbag2Metadata | None:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error

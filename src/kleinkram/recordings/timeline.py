@@ -37,7 +37,7 @@ _KEY_BITS = 20
 
 
 @dataclass(frozen=True)
-class Run:
+class StampRun:
     """Messages of one topic without a year of silence between them; both ends inclusive.
 
     `density` is None where it is not known, or not wanted.
@@ -76,7 +76,7 @@ class TopicTimes:
     previous_ns: int = -1
     jump: Jump | None = None
     earliest_pending_ns: int = 0
-    runs: list[Run] = field(default_factory=list)
+    runs: list[StampRun] = field(default_factory=list)
     gaps_are_upper_bounds: bool = False
     pending: array[int] = field(default_factory=lambda: array("Q"))
 
@@ -138,41 +138,41 @@ class TopicTimes:
         for run in later.runs:
             self._absorb(run, MAX_BINS)
 
-    def _absorb(self, run: Run, most: int) -> None:
+    def _absorb(self, run: StampRun, most: int) -> None:
         if self.runs and run.first_ns < self.runs[-1].last_ns:
             late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
             self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
         self.runs = join([*self.runs, run], most)
 
 
-def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[Run]:
+def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
     """Cut sorted stamps where a year passes."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
         density = count_stamps(stamps, least_bin_ns=bin_ns, most=most)
-        return [Run(stamps[0], stamps[-1], len(stamps), longest, density)]
+        return [StampRun(stamps[0], stamps[-1], len(stamps), longest, density)]
     cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
     return [
-        Run(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
+        StampRun(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
         for a, b in pairwise(cuts)
     ]
 
 
-def join(runs: Iterable[Run], most: int = MAX_BINS) -> list[Run]:
+def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
     """Join runs that overlap or lie within a year of each other; sorted by time.
 
     The gap between two runs that do not overlap counts as a gap of the joined one, whose density has at most `most`
     bins.
     """
-    joined: list[Run] = []
+    joined: list[StampRun] = []
     for run in sorted(runs, key=lambda run: run.first_ns):
         previous = joined[-1] if joined else None
         if previous is None or run.first_ns - previous.last_ns > YEAR_NS:
             joined.append(run)
             continue
         between = max(0, run.first_ns - previous.last_ns)
-        joined[-1] = Run(
+        joined[-1] = StampRun(
             previous.first_ns,
             max(previous.last_ns, run.last_ns),
             previous.count + run.count,
@@ -186,13 +186,13 @@ def _both(one: Density | None, other: Density | None, most: int = MAX_BINS) -> D
     return add_up((one, other), most=most) if one is not None and other is not None else None
 
 
-def bulk(runs: Iterable[Run]) -> Run | None:
+def bulk(runs: Iterable[StampRun]) -> StampRun | None:
     """Return the island with the most messages over all topics; of equals, the latest. None without any message."""
-    bare = [Run(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
+    bare = [StampRun(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
     return max(join(bare), key=lambda run: (run.count, run.first_ns), default=None)
 
 
-def within(runs: Iterable[Run], island: Run | None) -> Run | None:
+def within(runs: Iterable[StampRun], island: StampRun | None) -> StampRun | None:
     """Return the runs of a topic inside the island as one run; None if there are none."""
     if island is None:
         return None
@@ -202,7 +202,7 @@ def within(runs: Iterable[Run], island: Run | None) -> Run | None:
     gaps = [run.longest_gap_ns for run in inside]
     gaps += [after.first_ns - before.last_ns for before, after in pairwise(inside)]
     density = reduce(_both, [run.density for run in inside])
-    return Run(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
+    return StampRun(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
 
 
 @dataclass(frozen=True)
@@ -228,13 +228,6 @@ class Timeline:
         if times is None:
             times = self.topics[name] = TopicTimes()
         return times
-
-    def fork(self) -> Timeline:
-        """Return a copy: what is added to one is not in the other."""
-        fork = Timeline()
-        fork.topics = {name: replace(times, pending=times.pending[:]) for name, times in self.topics.items()}
-        fork._pending = self._pending
-        return fork
 
     def rename(self, old: str, new: str) -> None:
         """Give the messages of a topic to another one, as if they stood behind those that it has."""

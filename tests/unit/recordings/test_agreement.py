@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings.mcap import records
+from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.reading import Recording
 from tests.conftest import CASES, MakeCase
 

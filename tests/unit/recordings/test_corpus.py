@@ -20,7 +20,7 @@ from kleinkram.recordings import (
     summarise,
     to_dict,
 )
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries, params
@@ -63,8 +63,8 @@ def summarise_file(path: Path) -> RecordingSummary:
 
 
 def scan_file(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:

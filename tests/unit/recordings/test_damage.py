@@ -11,10 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, RecordingSummary
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -130,7 +130,7 @@ def place_of(name: str, at: int) -> float:
 
 
 def scanned(data: bytes, name: str) -> RecordingSummary:
-    return scan(from_source(MemorySource(data, name)))
+    return scan(source_reader(MemorySource(data, name)))
 
 
 def untouched(whole: Whole, start: int, end: int) -> int:

@@ -10,17 +10,17 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Depth, Fact, RecordingFormat, RecordingSummary
-from kleinkram.recordings.forward import FileForward
+from kleinkram.recordings.formats.rosbag2.db3 import scan_db3
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.db3 import scan_db3
+from kleinkram.recordings.sources import FileReader
 
 from .corpus import Entry, params
 from .databases import SCHEMAS, T0, faults, make_database, steady
 
 
 def scan_file(path: Path, depth: Depth = Depth.scan) -> RecordingSummary:
-    with FileForward(path) as forward:
-        return scan_db3(forward, depth=depth)
+    with FileReader(path) as reader:
+        return scan_db3(reader, depth=depth)
 
 
 def change(path: Path, *statements: str) -> Path:
@@ -193,8 +193,8 @@ def test_what_a_database_says_of_its_origin(tmp_path: Path) -> None:
         database.execute("INSERT INTO metadata VALUES (2, 9, ?)", (stated,))
         database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/B', 'ros2msg', 'int8 x', '')")
         database.commit()
-    with FileForward(path) as forward:
-        summary = scan_db3(forward)
+    with FileReader(path) as reader:
+        summary = scan_db3(reader)
     assert summary.compression == ("message-zstd",)
     assert summary.facts == (Fact("ros_distro", "jazzy"), Fact("schema_version", 4), Fact("message_definitions", 1))
     with Recording.open(path) as recording:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary
-from kleinkram.recordings.rosbag2.database import open_database
-from kleinkram.recordings.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
+from kleinkram.recordings.formats.rosbag2.database import open_database
+from kleinkram.recordings.formats.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
 
 from .databases import SCHEMAS, make_database, steady
 from .test_db3 import scan_file
@@ -176,7 +176,7 @@ def test_pages_in_no_order_cost_their_own_bytes(sound: bytes, tmp_path: Path, mo
         read.append(length)
         return pread(descriptor, length, offset)
 
-    monkeypatch.setattr("kleinkram.recordings.rosbag2.pages.os.pread", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.rosbag2.pages.os.pread", counted)
     with PageFile(path, "a.db3") as file:
         size, count = file.header.page_bytes, file.whole_pages
         in_order = [file.page(number) for number in range(1, count + 1)]

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.assemble import TopicType, measure
-from kleinkram.recordings.combining import combine
+from kleinkram.recordings.combine_summaries import combine
 from kleinkram.recordings.density import (
-    FEW_BINS,
+    BINS_OF_MANY_TOPICS,
     MANY_TOPICS,
     MAX_BINS,
     add_up,
@@ -21,9 +20,10 @@ from kleinkram.recordings.density import (
     pack,
     unpack,
 )
+from kleinkram.recordings.isolation import from_dict, to_dict
 from kleinkram.recordings.model import Content, Density, RecordingFormat, RecordingSummary
-from kleinkram.recordings.serialise import from_dict, to_dict
 from kleinkram.recordings.timeline import YEAR_NS, Timeline
+from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
@@ -139,4 +139,4 @@ def test_a_file_with_very_many_topics_has_fewer_bins_of_each() -> None:
         timeline.topic(f"/{number}")
     types = dict.fromkeys(timeline.topics, NO_TYPE)
     density = next(topic.density for topic in measure(timeline, types).topics if topic.name == "/t")
-    assert density == plainly(stamps, FEW_BINS)
+    assert density == plainly(stamps, BINS_OF_MANY_TOPICS)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import (
-    GroupKind,
     MemberFacts,
     RecordingGroup,
+    RecordingGroupKind,
     Rosbag2Metadata,
     compare_metadata,
     group,
@@ -18,10 +18,10 @@ from kleinkram.recordings import (
 
 from .corpus import Entry, params
 
-SINGLE, SPLIT, ROSBAG2 = GroupKind.single, GroupKind.split_set, GroupKind.rosbag2
+SINGLE, SPLIT, ROSBAG2 = RecordingGroupKind.single, RecordingGroupKind.split_set, RecordingGroupKind.rosbag2
 
 
-def shape(paths: list[str]) -> list[tuple[str, GroupKind, tuple[str, ...]]]:
+def shape(paths: list[str]) -> list[tuple[str, RecordingGroupKind, tuple[str, ...]]]:
     return [(found.name, found.kind, found.members) for found in group(paths)]
 
 
@@ -170,9 +170,9 @@ def test_recordings_of_cameras_are_recordings() -> None:
 def test_new_names_of_rosbag2_are_one_split_recording_in_the_order_of_their_numbers() -> None:
     paths = [f"patrol/{k}_patrol_2026_01_17-10_{k:02d}_30.mcap" for k in range(12)]
     (found,) = group(reversed(paths))
-    assert (found.kind, list(found.members)) == (GroupKind.split_set, paths)
+    assert (found.kind, list(found.members)) == (RecordingGroupKind.split_set, paths)
     (found,) = group([*paths, "patrol/metadata.yaml"])
-    assert (found.kind, found.name, list(found.members)) == (GroupKind.rosbag2, "patrol", paths)
+    assert (found.kind, found.name, list(found.members)) == (RecordingGroupKind.rosbag2, "patrol", paths)
 
 
 def test_a_smaller_number_begins_the_next_recording_of_that_name() -> None:

@@ -10,11 +10,11 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.bag.writer import BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -321,7 +321,7 @@ def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_s
         (flipped, crc, Content.recovered),
     ):
         end = record(records.DATA_END, struct.pack("<I", claimed)) + footer
-        summary = scan(from_source(MemorySource(data + end)))
+        summary = scan(source_reader(MemorySource(data + end)))
         assert (summary.content, summary.message_count) == (content, 1)
         assert summary.lost == (None if content is Content.indexed else Lost(0, 0, None))
     assert "data section" in (summary.reason or "")

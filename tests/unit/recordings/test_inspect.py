@@ -196,14 +196,14 @@ def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) ->
         def ended(self) -> None:
             self.told.append("ended")
 
-    watch = Watched()
+    progress = Watched()
     generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
     path = tmp_path / "drive.mcap"
     (shallow,) = inspect_paths([path])
-    (deep,) = inspect_paths([path], depth=Depth.scan, watch=watch)
+    (deep,) = inspect_paths([path], depth=Depth.scan, progress=progress)
     assert (shallow.summary.depth, deep.summary.depth) == (Depth.summary, Depth.scan)
     assert deep.summary.topics == shallow.summary.topics
-    first, *moved, last = watch.told
+    first, *moved, last = progress.told
     assert (first, last) == ((str(path), path.stat().st_size), "ended")
     assert sum(step for step in moved if isinstance(step, int)) == path.stat().st_size
 

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from kleinkram.recordings import Content, FileSource
+from kleinkram.recordings.formats.rosbag2.database import find_unmerged_logs
 from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.leftovers import find_leftovers
-from kleinkram.recordings.rosbag2.spool import KEPT_FREE_BYTES
 from kleinkram.recordings.summary import scan_with_logs
+from kleinkram.recordings.temporary_files import MIN_FREE_DISK_BYTES
 
 from .databases import make_database, steady
 from .test_db3 import scan_file
@@ -144,7 +144,7 @@ def test_a_log_is_not_applied_where_the_disk_has_no_room_for_what_sqlite_makes_o
     killed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log_bytes = killed.with_name("a.db3-wal").stat().st_size
-    free = KEPT_FREE_BYTES + max(killed.stat().st_size, log_bytes) + log_bytes // 2
+    free = MIN_FREE_DISK_BYTES + max(killed.stat().st_size, log_bytes) + log_bytes // 2
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     summary = scan_file(killed)
     assert (summary.content, summary.message_count) == (Content.recovered, 100)
@@ -157,7 +157,7 @@ def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:
     with closing(sqlite3.connect(killed)) as database:
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     log.write_bytes(kept)
-    assert find_leftovers(killed) == []
+    assert find_unmerged_logs(killed) == []
     assert scan_file(killed).content is Content.indexed
 
 
@@ -165,14 +165,14 @@ def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:
 def test_a_log_that_is_none(log: bytes, tmp_path: Path) -> None:
     path = make_database(tmp_path / "a.db3", messages=steady(5))
     path.with_name("a.db3-wal").write_bytes(log)
-    assert find_leftovers(path) == []
+    assert find_unmerged_logs(path) == []
 
 
 def test_a_journal_that_was_not_rolled_back_is_told(tmp_path: Path) -> None:
     path = make_database(tmp_path / "a.db3", messages=steady(5))
     journal = path.with_name("a.db3-journal")
     journal.write_bytes(bytes(512))
-    assert find_leftovers(path) == []
+    assert find_unmerged_logs(path) == []
     journal.write_bytes(b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7" + bytes(504))
-    assert [(p.code, p.where) for p in find_leftovers(path)] == [("journal-not-merged", "a.db3-journal")]
+    assert [(p.code, p.where) for p in find_unmerged_logs(path)] == [("journal-not-merged", "a.db3-journal")]
     assert scan_file(path).content is Content.recovered

@@ -17,12 +17,12 @@ ROOT = Path(__file__).parents[3]
 def test_every_problem_code_is_on_the_page() -> None:
     page = (ROOT / "docs/formats.md").read_text()
     table = page.split("<!-- codes -->")[1].split("<!-- /codes -->")[0]
-    told = re.findall(r"^\| `([a-z-]+)` \|", table, re.MULTILINE)
-    assert told == sorted(set(told))
-    assert set(told) == set(said_codes())
+    listed = re.findall(r"^\| `([a-z-]+)` \|", table, re.MULTILINE)
+    assert listed == sorted(set(listed))
+    assert set(listed) == set(codes_in_source())
 
 
-def said_codes() -> Iterator[str]:
+def codes_in_source() -> Iterator[str]:
     """Yield the first argument of whatever makes a problem, anywhere in the source."""
     for path in (ROOT / "src/kleinkram").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -36,7 +36,7 @@ def _makes_a_problem(call: ast.Call) -> bool:
     name = ast.unparse(call.func)
     if name == "NotIndexed":  # only some of these reach a person
         return any(word.arg == "is_problem" and ast.literal_eval(word.value) for word in call.keywords)
-    return name == "Problem" or (name.endswith("noticed.add") and len(call.args) == 3)
+    return name == "Problem" or (name.endswith("problem_log.add") and len(call.args) == 3)
 
 
 def test_the_reading_guide_runs(

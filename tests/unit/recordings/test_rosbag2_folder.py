@@ -21,10 +21,10 @@ from kleinkram.recordings import (
     compare_metadata,
     parse_rosbag2_metadata,
 )
+from kleinkram.recordings.formats.rosbag2.metadata import StatedFile, StatedTopic
+from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
-from kleinkram.recordings.rosbag2.metadata import StatedFile, StatedTopic
 
 from .databases import T0, faults
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.assemble import Measured, TopicType, measure
-from kleinkram.recordings.packed import smallest_to_come
+from kleinkram.recordings.chunk_table import smallest_to_come
 from kleinkram.recordings.timeline import YEAR_NS, ChunkEntries, Timeline
+from kleinkram.recordings.topic_statistics import Measured, TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000

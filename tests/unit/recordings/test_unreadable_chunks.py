@@ -12,9 +12,9 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, FileSource, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap import records
+from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.reading import Recording
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
@@ -25,8 +25,8 @@ _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def by_index(path: Path) -> RecordingSummary:

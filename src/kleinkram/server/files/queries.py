@@ -45,7 +45,7 @@ from kleinkram.server.files.topics import TOPIC_ORDER, topic_rows
 from kleinkram.server.filters.asked import Asked
 from kleinkram.server.filters.files import narrow_files, narrow_walked
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -80,7 +80,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
             "sha256",
             "md5",
             "crc64nvme",
-            "proven_at",
+            "verified_at",
             "damaged_at",
             "summarised_at",
             "message_count",

@@ -113,13 +113,13 @@ async def _runs_that_cannot_start(db: Connection, actor: Actor) -> list[Row[Any]
 
 async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     failed = (await db.execute(queries.failed_jobs())).scalar_one()
-    late = (await db.execute(queries.late_proofs())).scalar_one()
+    late = (await db.execute(queries.overdue_verifications())).scalar_one()
     stopped = (await db.execute(queries.stopped_scrubs(settings.store_id))).scalar_one()
     counts = {
         Need.scrub_stopped: stopped,
         Need.disk_low: int(is_low(settings)),
         Need.jobs_failed: failed,
-        Need.proofs_late: late,
+        Need.verifications_overdue: late,
     }
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 
@@ -128,7 +128,7 @@ async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
     if row.multipart_id is None:
         return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
     try:
-        held = await asyncio.wait_for(context.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+        held = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
     # A part sent twice may be listed twice.

@@ -44,7 +44,7 @@ from kleinkram.server.filters.files import narrow_missions, narrow_missions_foun
 from kleinkram.server.filters.looking import drawn_missions, walking
 from kleinkram.server.filters.metadata import metadata_key
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of, page_of
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)

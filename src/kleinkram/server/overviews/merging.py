@@ -9,7 +9,7 @@ from sqlalchemy import Row
 
 from kleinkram.recordings.density import add_up, unpack
 from kleinkram.recordings.model import Density
-from kleinkram.recordings.timeline import Run, join
+from kleinkram.recordings.timeline import StampRun, join
 
 _ADDED_AT_ONCE = 64
 
@@ -63,7 +63,7 @@ class _One:
         self._stored_bytes: int | None = 0
         self._recordings: set[uuid.UUID] = set()
         self._recording_id: uuid.UUID | None = None
-        self._runs: list[Run] = []
+        self._runs: list[StampRun] = []
         self._whole = _Whole()
         self._densities: list[Density] = []
 
@@ -78,7 +78,7 @@ class _One:
             self._recordings.add(row.recording_id)
         if row.is_placed:
             gap_ns = row.longest_gap_ns or 0
-            self._runs.append(Run(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
+            self._runs.append(StampRun(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
             if row.density is not None:
                 self._densities.append(unpack(row.density))
         if len(self._densities) >= _ADDED_AT_ONCE:
@@ -120,7 +120,7 @@ class _Whole:
     span_ns: int = 0
     longest_gap_ns: int = 0
 
-    def add(self, run: Run) -> None:
+    def add(self, run: StampRun) -> None:
         self.first_ns = run.first_ns if self.first_ns is None else min(self.first_ns, run.first_ns)
         self.last_ns = run.last_ns if self.last_ns is None else max(self.last_ns, run.last_ns)
         self.steps += max(0, run.count - 1)

@@ -33,7 +33,7 @@ from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import by_name
 from kleinkram.server.filters.files import narrow_projects
 from kleinkram.server.missions.amounts import duration, file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of
+from kleinkram.server.paging import Listed, Order, PageRequest, list_of
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 

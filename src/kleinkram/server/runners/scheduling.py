@@ -142,9 +142,7 @@ def reason_waiting(run: Row[Any], known: Collection[Row[Any]], *, single_person:
     return f"It waits for {names}, which is not running. Start it again, or another with `klein runner start`."
 
 
-def runs_problem(
-    queued: Collection[Row[Any]], known: Collection[Row[Any]], *, single_person: bool
-) -> str | None:
+def runs_problem(queued: Collection[Row[Any]], known: Collection[Row[Any]], *, single_person: bool) -> str | None:
     """Return why runs cannot start, and what to do: of those queued, else of the plainest script; None where all can.
 
     `queued` says by `number` how many runs need the same.

@@ -37,8 +37,8 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub, Topic
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.events.hub import EventFilter, Hub
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.scheduling import has_single_person, with_limits
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
@@ -54,7 +54,7 @@ _SCOPES = {
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Between two looks where nothing was heard of: a lease that runs out tells nobody.
 _LOOK_EVERY_S = 5.0
-_QUEUE = Topic(frozenset({"run"}))
+_QUEUE = EventFilter(frozenset({"run"}))
 _LEASE = datetime.timedelta(seconds=LEASE_S)
 # What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
 _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
@@ -149,9 +149,9 @@ async def claim(
             async with context.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
-            if found is not None or left_s <= 0 or hub.is_over:
+            if found is not None or left_s <= 0 or hub.is_closed:
                 return ClaimReply(run=found)
-            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
+            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
 
 
 async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimRequest) -> RunAssignment | None:

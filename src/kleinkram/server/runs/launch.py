@@ -19,10 +19,10 @@ from kleinkram.contract.errors import (
     NoInputs,
     NoRunner,
     NotFound,
-    to_problem,
 )
 from kleinkram.contract.files import BlobState, FileFilter
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import (
     CONTEXT_FILE,
@@ -248,7 +248,7 @@ async def _inputs(db: Connection, actor: Actor, definition: ActionDefinition, pl
     if not rows:
         said = [f"{name} {', '.join(globs)}" for name, globs in wanted.model_dump().items() if globs]
         told = " and ".join(said).replace("_", " ") or "any file"
-        raise NoInputs(mission=place.name, action=definition.name, wanted=told)
+        raise NoInputs(mission=place.name, action=definition.name, inputs=told)
     for row in rows:
         if row.state in _UNREADABLE:
             raise FileUnavailable(path=row.path, state=row.state)

@@ -23,8 +23,8 @@ from kleinkram.contract.runs import (
     RunsCreate,
     RunsCreated,
 )
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.runs import launch, lifecycle, logs, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
@@ -112,7 +112,7 @@ async def list_artifacts(
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
 ) -> ArtifactUrls:
     """Return where to read artifacts; who asked is noted."""
     items = await service.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
@@ -124,7 +124,7 @@ async def get_run_log(
     run_id: uuid.UUID,
     query: Annotated[LogQuery, Query()],
     request: Request,
-    context: CurrentSite,
+    context: CurrentContext,
     actor: CurrentActor,
 ) -> LogChunkRead:
     """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""

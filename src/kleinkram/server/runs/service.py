@@ -32,7 +32,7 @@ from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners.scheduling import has_single_person, known_runners, reason_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.tables import blob, file, run, run_artifact, run_input
@@ -172,7 +172,7 @@ async def link_artifacts(
     return [
         ArtifactUrl(
             artifact=queries.to_artifact(found[each]),
-            url=context.storage.sign_read(found[each].key, path=found[each].path, expires_s=expires_s),
+            url=context.storage.sign_get(found[each].key, path=found[each].path, expires_s=expires_s),
             expires_at=expires_at,
         )
         for each in artifact_ids

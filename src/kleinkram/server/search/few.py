@@ -15,7 +15,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.filters.asked import Asked, asked_alike, values
 from kleinkram.server.filters.files import narrow_files
-from kleinkram.server.pages import in_order
+from kleinkram.server.paging import in_order
 from kleinkram.server.tables import file
 
 # Files that a search finds and that are named in what it asks besides.

@@ -21,7 +21,7 @@ from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.asked import asked_alike, values
 from kleinkram.server.filters.looking import Outlook, look_ahead
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.few import find_few
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from kleinkram.recordings.reading.ahead import Job, do_ahead
+from kleinkram.recordings.merge import ReadAheadTask, read_ahead
 from kleinkram.recordings.sources import read_ranges
 
 _S = 20
@@ -33,8 +33,8 @@ class _Slow:
 
 
 def _jobs(source: _Slow) -> Iterator[bytes]:
-    jobs = (Job(1, partial(source.read, at, 1)) for at in (0, 0, 2, 3, 4))
-    return do_ahead(jobs, workers=2, most_bytes=8)
+    jobs = (ReadAheadTask(1, partial(source.read, at, 1)) for at in (0, 0, 2, 3, 4))
+    return read_ahead(jobs, workers=2, most_bytes=8)
 
 
 def _ranges(source: _Slow) -> Iterator[bytes]:

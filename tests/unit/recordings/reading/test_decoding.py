@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.reading import NoSuchTopic, Recording
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.reading import Recording, TooDisordered, chunked, merging
-from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
+from kleinkram.recordings.reading import Recording, TooDisordered
 
 from ..memory_source import MemorySource
 from .making import T0, Stamped, Watched, bag_of, mcap_of
@@ -51,7 +51,7 @@ def test_chunks_that_overlap(make: Make, spread_ns: int) -> None:
 @pytest.mark.parametrize("make", MAKERS)
 def test_chunks_that_overlap_more_than_memory_allows(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     chunks = shuffled(7, chunks=12, messages=20, spread_ns=400)
-    monkeypatch.setattr(merging, "MAX_HELD", 12 * 20 * (250 + 6) // 3)
+    monkeypatch.setattr("kleinkram.recordings.merge.MAX_BUFFERED_BYTES", 12 * 20 * (250 + 6) // 3)
     source = Watched(make(chunks))
     assert plain(Recording.open(source)) == in_order(chunks)
     assert len(source.ranges) > 2 * len(chunks)  # chunks were read again instead of being held
@@ -59,7 +59,7 @@ def test_chunks_that_overlap_more_than_memory_allows(make: Make, monkeypatch: py
 
 def test_too_many_chunks_at_once_are_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     chunks = [[("/t", T0, b"x" * 1000), ("/t", T0 + 1_000_000, b"x" * 1000)] for _ in range(50)]
-    monkeypatch.setattr(merging, "MAX_HELD", 10_000)
+    monkeypatch.setattr("kleinkram.recordings.merge.MAX_BUFFERED_BYTES", 10_000)
     with pytest.raises(TooDisordered, match="overlap in time"):
         list(Recording.open(mcap_of(chunks)).raw_messages())
 
@@ -109,16 +109,6 @@ def test_messages_without_chunks_and_without_index() -> None:
     recording = Recording.open(MemorySource(loose))
     assert plain(recording) == in_order([messages])
     assert recording.message_count == 300
-
-
-@pytest.mark.parametrize("compression", list(Compression))
-def test_a_chunk_too_large_to_be_held(compression: Compression, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chunked, "MAX_CHUNK_HELD", 100_000)
-    chunks = shuffled(6, chunks=3, messages=40, spread_ns=100)
-    chunks = [[(topic, stamp, data * 2000) for topic, stamp, data in chunk] for chunk in chunks]
-    recording = Recording.open(mcap_of(chunks, compression=compression))
-    assert plain(recording) == in_order(chunks)
-    assert not recording.problems
 
 
 def test_channels_written_in_every_chunk() -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.reading import NoSuchTopic, Recording, SeveralRecordings
-from kleinkram.recordings.reading.mcap_index import read_index
 from kleinkram.recordings.sample import generate_db3, generate_mcap
 
 from ..memory_source import MemorySource

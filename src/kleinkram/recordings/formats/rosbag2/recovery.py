@@ -1,0 +1,249 @@
+"""Topics and messages out of a database that SQLite calls malformed: cut, overwritten, or with pages of rubbish.
+
+Rows stand whole in leaf pages, whatever became of the tree above them. So every page is looked at once: leaf pages
+that hold rows of the shape of messages are brought into the order of their row ids and read; a row whose data goes on
+in other pages counts only if all of those are there. rosbag2 numbers messages without gaps and deletes none, so row
+ids tell how many are missing. Holds 8 bytes a leaf page.
+
+What cannot be seen: a flipped byte inside of a message's data; SQLite keeps no checksums.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.rosbag2 import pages
+from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
+from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
+from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
+
+_MAX_SORTED_PAGES = 2_000_000
+_PAGE_BITS = 32
+_MOST_ROW_ID = 2**31
+_LEAST_ROW_BYTES = 16
+_SCHEMA_COLUMNS = 5
+_LEAST_TOPIC_COLUMNS = 3
+_U32 = struct.Struct(">I")
+
+
+@dataclass
+class Recovered:
+    """What is known of a damaged database, complete once `messages` of `Recovery` has been read to its end.
+
+    Attributes:
+        claimed_bytes: the size that the file should have by its own header; its real size where that says nothing.
+        damaged_pages: pages that are rubbish, or of which rows cannot be read.
+        damaged_bytes: bytes of these pages, and of messages that are cut.
+        cut_messages: messages that begin and whose data is not all there.
+        lost_messages: how many are missing for sure, from the gaps in the numbers of the rows.
+        is_exact: no more than those are missing, because the last row that was written is there.
+    """
+
+    size_bytes: int
+    claimed_bytes: int
+    damaged_pages: int = 0
+    damaged_bytes: int = 0
+    cut_messages: int = 0
+    lost_messages: int = 0
+    is_exact: bool = False
+    first_damage: str = ""
+    topics: list[TopicRow] = field(default_factory=list)
+
+
+class Recovery:
+    """Reads a damaged database; use it in a `with`.
+
+    Raises:
+        Malformed: not even the header is there.
+        SourceError: the file cannot be read.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._file = PageFile(path, name)
+        header = self._file.header
+        size = self._file.size_bytes
+        self.result = Recovered(size, header.page_count * header.page_bytes or size)
+        self._damaged: set[int] = set()
+        self._topics: dict[int, TopicRow] = {}
+        self._leaves = array("Q")
+        self._roots: dict[str, int] = {}
+        self._overflow_left = self._file.whole_pages
+
+    def __enter__(self) -> Recovery:
+        self._survey()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def messages(self) -> Iterator[MessageRow]:
+        """Yield every message that is whole, in the order of the row ids; read it to its end."""
+        return (row for row, _, _ in self._whole_rows())
+
+    def messages_with_data(self, most_bytes: int) -> Iterator[tuple[MessageRow, bytes]]:
+        """Yield what `messages` yields with its data; those with more than `most_bytes` are left out."""
+        for row, page, place in self._whole_rows():
+            if row.data_bytes <= most_bytes:
+                cell, column = place
+                yield row, self._payload(page, cell)[column.at : column.at + column.length]
+
+    def _whole_rows(self) -> Iterator[tuple[MessageRow, bytes, tuple[Cell, Column]]]:
+        in_order = _sort(self._leaves)
+        previous, count = 0, 0
+        mask = (1 << _PAGE_BITS) - 1
+        for key in self._leaves:
+            for row, page, place in self._rows_of_page(key & mask):
+                row_id = place[0].row_id
+                if in_order and row_id <= previous:
+                    continue  # a copy of a page that the file no longer means
+                previous = max(previous, row_id)
+                count += 1
+                yield row, page, place
+        self._measure(previous, count)
+
+    def _survey(self) -> None:
+        """Look at every page once: find the leaves of messages, the topics, and rubbish."""
+        free = self._file.free_pages()
+        for number in range(1, self._file.whole_pages + 1):
+            if number not in free:
+                self._look_at(number, self._file.page(number))
+        tail = self._file.size_bytes % self._file.header.page_bytes
+        if tail:
+            self.result.damaged_pages += 1
+            self.result.damaged_bytes += tail
+        self.result.topics = [self._topics[topic_id] for topic_id in sorted(self._topics)]
+
+    def _look_at(self, number: int, page: bytes) -> None:
+        kind = page[pages.HEADER_BYTES if number == 1 else 0]
+        if kind == pages.LEAF_TABLE:
+            self._look_at_leaf(number, page)
+        elif kind == 0:
+            # Pages of data begin with the number of the next one, and those of the freelist too.
+            if not any(page):
+                self._note(number, "it is all zeros")
+        elif kind not in (pages.INTERIOR_TABLE, pages.INTERIOR_INDEX, pages.LEAF_INDEX) and number < 1 << 24:
+            self._note(number, "it is of no kind that there is")
+
+    def _look_at_leaf(self, number: int, page: bytes) -> None:
+        """Note a page of messages, whose rows are read later, in order; take topics and roots from any other."""
+        try:
+            for cell, columns in self._cells(number, page):
+                if _is_message(columns):
+                    self._leaves.append(min(max(cell.row_id, 0), _MOST_ROW_ID) << _PAGE_BITS | number)
+                    return
+                self._look_at_row(page, cell, columns)
+        except Malformed as error:
+            self._note(number, error.message)
+
+    def _look_at_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
+        texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns[:4]]
+        if len(columns) == _SCHEMA_COLUMNS and texts[0] == "table" and pages.is_integer(columns[3]):
+            self._roots.setdefault(texts[1], pages.read_integer(columns[3], page, cell.at))
+        elif len(columns) >= _LEAST_TOPIC_COLUMNS and columns[0].serial == 0 and texts[1] and "/" in texts[2]:
+            encoding = texts[3] if len(texts) > _LEAST_TOPIC_COLUMNS else ""
+            if len(self._topics) < MAX_TOPICS:
+                self._topics.setdefault(cell.row_id, TopicRow(cell.row_id, texts[1], texts[2], encoding))
+
+    def _text(self, page: bytes, cell: Cell, column: Column) -> str:
+        """Return a text as far as it stands in the leaf page."""
+        end = min(column.at + min(column.length, MAX_NAME), cell.local_bytes)
+        return page[cell.at + column.at : cell.at + end].decode("utf-8", "replace")
+
+    def _payload(self, page: bytes, cell: Cell) -> bytes:
+        """Return the payload of a row that is known to be whole, with what stands in other pages."""
+        pieces = [page[cell.at : cell.at + cell.local_bytes]]
+        left, number = cell.payload_bytes - cell.local_bytes, cell.overflow_page
+        while left > 0:
+            more = self._file.page(number)
+            (number,) = _U32.unpack_from(more)
+            pieces.append(more[4 : min(self._file.header.usable_bytes, 4 + left)])
+            left -= len(pieces[-1])
+        return b"".join(pieces)
+
+    def _rows_of_page(self, number: int) -> Iterator[tuple[MessageRow, bytes, tuple[Cell, Column]]]:
+        page = self._file.page(number)
+        try:
+            for cell, columns in self._cells(number, page):
+                if not _is_message(columns):
+                    self._note(number, "a row of it is no message")
+                elif cell.overflow_page and not self._is_whole(cell):
+                    self.result.cut_messages += 1
+                    self.result.damaged_bytes += cell.local_bytes
+                else:
+                    topic_id = pages.read_integer(columns[1], page, cell.at)
+                    timestamp = pages.read_integer(columns[2], page, cell.at)
+                    yield MessageRow(topic_id, timestamp, columns[3].length), page, (cell, columns[3])
+        except Malformed as error:
+            self._note(number, error.message)
+
+    def _cells(self, number: int, page: bytes) -> Iterator[tuple[Cell, list[Column]]]:
+        """Yield the rows of a leaf page that can be read; note the page if there are others."""
+        start = pages.HEADER_BYTES if number == 1 else 0
+        for cell in pages.leaf_cells(page, start, self._file.header.usable_bytes):
+            end = cell.at + cell.local_bytes if cell is not None else 0
+            columns = pages.read_columns(page, cell.at, end, cell.payload_bytes) if cell is not None else None
+            if cell is None or columns is None:
+                self._note(number, "a row of it cannot be read")
+            else:
+                yield cell, columns
+
+    def _is_whole(self, cell: Cell) -> bool:
+        """Say whether all pages that a row goes on in are there.
+
+        A page belongs to one row only, so that all of this takes no more steps than the file has pages.
+        """
+        usable = self._file.header.usable_bytes
+        left = cell.payload_bytes - cell.local_bytes
+        number = cell.overflow_page
+        while left > 0:
+            self._overflow_left -= 1
+            if self._overflow_left < 0 or not 1 <= number <= self._file.whole_pages:
+                return False
+            (following,) = _U32.unpack_from(self._file.page(number))
+            left -= usable - 4
+            number = following
+        return number == 0
+
+    def _note(self, number: int, what: str) -> None:
+        if number in self._damaged:
+            return
+        self._damaged.add(number)
+        self.result.damaged_pages += 1
+        self.result.damaged_bytes += self._file.header.page_bytes
+        if not self.result.first_damage:
+            self.result.first_damage = f"page {number} is damaged: {what}"
+
+    def _measure(self, highest: int, count: int) -> None:
+        leaf, key = self._file.last_leaf(self._roots.get("messages", 0))
+        numbered = max(highest, key)
+        # A number that no file of this size can have reached is itself damage.
+        if numbered <= self.result.claimed_bytes // _LEAST_ROW_BYTES:
+            self.result.lost_messages = max(numbered - count, 0)
+            self.result.is_exact = leaf > 0 and leaf not in self._damaged
+        self.result.lost_messages = max(self.result.lost_messages, self.result.cut_messages)
+
+
+def _is_message(columns: list[Column]) -> bool:
+    """Say whether a row has the shape (id, topic_id, timestamp, data), whose id stands outside of the record."""
+    return (
+        len(columns) == 4
+        and columns[0].serial == 0
+        and pages.is_integer(columns[1])
+        and pages.is_integer(columns[2])
+        and (columns[3].serial >= 12 and columns[3].serial % 2 == 0)
+    )
+
+
+def _sort(leaves: array[int]) -> bool:
+    """Bring pages into the order of their first row; False if they are not in it, and too many to be sorted."""
+    if all(leaves[number] <= leaves[number + 1] for number in range(len(leaves) - 1)):
+        return True
+    if len(leaves) > _MAX_SORTED_PAGES:
+        return False
+    leaves[:] = array("Q", sorted(leaves))
+    return True
