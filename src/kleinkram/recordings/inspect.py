@@ -12,7 +12,8 @@ from typing import Protocol
 
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.grouping import (
+from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings.recording_groups import (
     METADATA_NAME,
     FolderRecordings,
     RecordingGroup,
@@ -20,7 +21,6 @@ from kleinkram.recordings.grouping import (
     read_folder,
     recording_of_metadata,
 )
-from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileReader, FileSource
 from kleinkram.recordings.summary import scan, summarise
 

@@ -37,7 +37,7 @@ NEAR = st.lists(st.integers(T0, T0 + 10**5) | st.integers(T0, T0 + 10**13), min_
 
 def plainly(stamps: list[int], most: int = MAX_BINS) -> Density:
     """Count every stamp by itself, in the narrowest bins that are few enough."""
-    bits = next(each for each in range(65) if (max(stamps) >> each) - (min(stamps) >> each) < most)
+    bits = next(item for item in range(65) if (max(stamps) >> item) - (min(stamps) >> item) < most)
     counted = Counter(stamp >> bits for stamp in stamps)
     numbers = range(min(counted), max(counted) + 1)
     return Density(min(counted) << bits, 1 << bits, tuple(counted[number] for number in numbers))
@@ -82,8 +82,8 @@ def test_a_timeline_counts_whatever_the_order_and_the_memory(chunks: list[list[i
 
 def test_suspect_stamps_are_in_no_bin_and_do_not_widen_them() -> None:
     real = [T0 + number * 10**6 for number in range(1000)]
-    for odd in ([5, 6], [T0 + 20 * YEAR_NS]):
-        assert topic_density([odd, real]) == topic_density([real[:400], odd, real[400:]]) == plainly(real)
+    for unusual in ([5, 6], [T0 + 20 * YEAR_NS]):
+        assert topic_density([unusual, real]) == topic_density([real[:400], unusual, real[400:]]) == plainly(real)
 
 
 @given(st.lists(NEAR, min_size=1, max_size=5))
@@ -94,15 +94,15 @@ def test_files_add_up_to_their_recording(files: list[list[int]]) -> None:
         timeline = Timeline()
         timeline.add("/t", stamps, 0)
         timeline.settle(None)
-        found = measure(timeline, {"/t": NO_TYPE})
+        actual = measure(timeline, {"/t": NO_TYPE})
         summaries.append(
             RecordingSummary(
                 RecordingFormat.mcap,
                 Content.indexed,
-                message_count=found.message_count,
-                start_ns=found.start_ns,
-                end_ns=found.end_ns,
-                topics=found.topics,
+                message_count=actual.message_count,
+                start_ns=actual.start_ns,
+                end_ns=actual.end_ns,
+                topics=actual.topics,
             )
         )
     whole = combine(summaries)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import (
     Decoder,
     NoSuchField,
@@ -23,7 +24,6 @@ from kleinkram.recordings.decoding import (
     to_pandas,
     to_plain,
 )
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\

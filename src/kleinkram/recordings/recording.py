@@ -36,7 +36,7 @@ from kleinkram.recordings.messages import (
     to_ns,
 )
 from kleinkram.recordings.model import Problem
-from kleinkram.recordings.open_recording import Openable, Opened, open_members
+from kleinkram.recordings.opener import Openable, Opened, open_members
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,9 +23,9 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
     compare_names,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
 from kleinkram.recordings.member import ChunkedMember, Member
 from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.recording_groups import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
