@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for
+from kleinkram.recordings.formats.base import MemberContents
 from kleinkram.recordings.formats.ulog import as_ros1_definition
-from kleinkram.recordings.member import MemberContents
 from kleinkram.recordings.messages import Block, Channel, Message, Schema, Topic
 
 

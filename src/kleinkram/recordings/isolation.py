@@ -21,10 +21,10 @@ from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata, State
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
 from kleinkram.recordings.model import (
     Content,
-    Density,
     Depth,
     Fact,
     Lost,
+    MessageDensity,
     Problem,
     RecordingFormat,
     RecordingSummary,
@@ -221,7 +221,7 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
 
 def _topic(plain: Mapping[str, Any]) -> TopicSummary:
     density = plain["density"]
-    counted = Density(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
+    counted = MessageDensity(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
     return TopicSummary(**{**plain, "density": counted})
 
 

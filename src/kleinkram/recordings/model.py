@@ -93,7 +93,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Density:
+class MessageDensity:
     """How many messages lie where in time (see `density`).
 
     Attributes:
@@ -143,7 +143,7 @@ class TopicSummary:
     out_of_order_count: int | None = None
     stored_bytes: int | None = None
     suspect_count: int = 0
-    density: Density | None = None
+    density: MessageDensity | None = None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.formats.base import OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
 from kleinkram.recordings.formats.documents import UNKNOWN
 from kleinkram.recordings.formats.registry import format_of
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
@@ -23,7 +23,6 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
     compare_names,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.member import ChunkedMember, Member
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.recording_groups import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader

@@ -21,7 +21,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoded_messages import DecodeProblemLogger, decode_blocks, decoder_of, list_topics, timed
 from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
-from kleinkram.recordings.member import Member
+from kleinkram.recordings.formats.base import Member
 from kleinkram.recordings.merge import TooDisordered, merge
 from kleinkram.recordings.messages import (
     END_OF_TIME_NS,

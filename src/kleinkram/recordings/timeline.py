@@ -26,7 +26,7 @@ from operator import itemgetter, lt, sub
 
 from kleinkram.recordings.density import MAX_BINS, add_up, count_stamps, most_bins
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
 LEAST_JUMP_NS = 10 * 1_000_000_000
@@ -47,7 +47,7 @@ class StampRun:
     last_ns: int
     count: int
     longest_gap_ns: int
-    density: Density | None = None
+    density: MessageDensity | None = None
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
     return joined
 
 
-def _both(one: Density | None, other: Density | None, most: int = MAX_BINS) -> Density | None:
+def _both(one: MessageDensity | None, other: MessageDensity | None, most: int = MAX_BINS) -> MessageDensity | None:
     return add_up((one, other), most=most) if one is not None and other is not None else None
 
 

@@ -21,7 +21,7 @@ from kleinkram.recordings.density import (
     unpack,
 )
 from kleinkram.recordings.isolation import from_dict, to_dict
-from kleinkram.recordings.model import Content, Density, RecordingFormat, RecordingSummary
+from kleinkram.recordings.model import Content, MessageDensity, RecordingFormat, RecordingSummary
 from kleinkram.recordings.timeline import YEAR_NS, Timeline
 from kleinkram.recordings.topic_statistics import TopicType, measure
 
@@ -35,15 +35,15 @@ STAMPS = st.lists(
 NEAR = st.lists(st.integers(T0, T0 + 10**5) | st.integers(T0, T0 + 10**13), min_size=1, max_size=60)
 
 
-def plainly(stamps: list[int], most: int = MAX_BINS) -> Density:
+def plainly(stamps: list[int], most: int = MAX_BINS) -> MessageDensity:
     """Count every stamp by itself, in the narrowest bins that are few enough."""
     bits = next(item for item in range(65) if (max(stamps) >> item) - (min(stamps) >> item) < most)
     counted = Counter(stamp >> bits for stamp in stamps)
     numbers = range(min(counted), max(counted) + 1)
-    return Density(min(counted) << bits, 1 << bits, tuple(counted[number] for number in numbers))
+    return MessageDensity(min(counted) << bits, 1 << bits, tuple(counted[number] for number in numbers))
 
 
-def topic_density(chunks: list[list[int]]) -> Density | None:
+def topic_density(chunks: list[list[int]]) -> MessageDensity | None:
     timeline = Timeline()
     for chunk in chunks:
         timeline.add("/t", chunk, 0)
@@ -125,7 +125,7 @@ def test_an_axis_shows_what_lies_inside(stamps: list[int], wider: int, shift: in
 @settings(deadline=None)
 def test_packed_and_unpacked_is_the_same(stamps: list[int], times: int) -> None:
     density = plainly(stamps)
-    large = Density(density.start_ns, density.bin_ns, tuple(count * times for count in density.counts))
+    large = MessageDensity(density.start_ns, density.bin_ns, tuple(count * times for count in density.counts))
     assert unpack(pack(large)) == large
     assert len(pack(density)) <= 10 + 2 * MAX_BINS
 

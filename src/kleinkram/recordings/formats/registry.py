@@ -9,11 +9,10 @@ from pathlib import Path, PurePosixPath
 
 from kleinkram.recordings.formats.base import HEAD_BYTES, LONG_HEAD_BYTES, Format, Head
 from kleinkram.recordings.formats.documents import JSON, ROSBAG2_METADATA, UNKNOWN, YAML
-from kleinkram.recordings.formats.mcap.format import MCAP
+from kleinkram.recordings.formats.mcap.format import MCAP, SVO2
 from kleinkram.recordings.formats.rosbag1.format import ROSBAG1, ROSBAG1_OLD
 from kleinkram.recordings.formats.rosbag2.database import is_database
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
-from kleinkram.recordings.formats.svo2 import SVO2
 from kleinkram.recordings.formats.trajectories import CSV, KITTI, TUM
 from kleinkram.recordings.formats.ulog import ULOG
 from kleinkram.recordings.formats.zstd_file import ZSTD

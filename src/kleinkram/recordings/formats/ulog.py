@@ -23,9 +23,15 @@ from kleinkram.recordings.chunk_table import ChunkTable, StoredChunk
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted

@@ -16,9 +16,8 @@ import zstandard
 
 from kleinkram.recordings.compression import ZstdFrames, open_decompressed
 from kleinkram.recordings.errors import Malformed, NotARecording
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW, WINDOW
-from kleinkram.recordings.member import Member, check_cost
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -10,15 +11,21 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Fi
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import NotIndexed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.mcap import chunks, records
 from kleinkram.recordings.formats.mcap.index import read_index
-from kleinkram.recordings.formats.mcap.records import ChannelRecord, McapFacts
+from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts
 from kleinkram.recordings.formats.mcap.scan import McapScan, scan_records
 from kleinkram.recordings.index_check import wrong_times
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.messages import Channel
-from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
+from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.timeline import Timeline
 from kleinkram.recordings.topic_statistics import (
@@ -245,4 +252,36 @@ MCAP = Format(
     scan=scan_mcap,
     summarise=summarise_mcap,
     open=open_mcap,
+)
+
+
+_LIBRARY_WORD = b"stereolabs"
+_MCAP_HEADER_BYTES = 64
+_CAMERA = re.compile(r"Camera_SN(?P<serial>\d{1,20})/(?P<what>\w+)")
+
+
+def as_svo2(summary: RecordingSummary) -> RecordingSummary:
+    """Return the summary of an SVO2's MCAP as that of an SVO2: with its cameras and their frames as facts."""
+    facts: list[Fact] = []
+    for topic in summary.topics:
+        match = _CAMERA.fullmatch(topic.name)
+        if match is not None and match["what"] == "side_by_side":
+            facts.append(Fact("camera_serial", match["serial"]))
+            if topic.count is not None:
+                facts.append(Fact("frames", topic.count))
+    return replace(summary, format=RecordingFormat.svo2, facts=(*facts, *summary.facts))
+
+
+def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+    return as_svo2(summarise_mcap(source, most_bytes=most_bytes))
+
+
+SVO2 = Format(
+    RecordingFormat.svo2,
+    lambda head: head.data.startswith(MAGIC) and _LIBRARY_WORD in head.data[len(MAGIC) :][:_MCAP_HEADER_BYTES],
+    "a recording of a ZED camera (SVO2)",
+    extensions=(".svo2", ".mcap"),
+    scan=lambda reader: as_svo2(scan_mcap(reader)),
+    summarise=_summarise,
+    refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
 )

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Container
+from collections.abc import Container
+from typing import NamedTuple
 
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
@@ -45,9 +46,9 @@ def record_end(data: Buffer, at: int, left: int) -> int | None:
         return None
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     body = at + RECORD_HEAD.size
-    if opcode not in _NEEDED or RECORD_HEAD.size + length > left:
+    if opcode not in _OPCODES or RECORD_HEAD.size + length > left:
         return None
-    return body + length if _needs(opcode, data, body, length) == length else None
+    return body + length if _body_length(opcode, data, body, length) == length else None
 
 
 def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
@@ -68,14 +69,14 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
-    is_known = opcode in _NEEDED
+    is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return no_record(data[at : at + RECORD_HEAD.size])
     if not is_known or opcode == records.MESSAGE:
         return None
     if is_unfinished_chunk(data, at):
         return None
-    needed = _needs(opcode, data, at + RECORD_HEAD.size, length)
+    needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
@@ -116,15 +117,7 @@ def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> boo
     if opcode != records.MESSAGE or length > left - RECORD_HEAD.size:
         return False
     kinds = (*_ONE_BIT_AWAY, records.MESSAGE_INDEX) if behind_chunk else _ONE_BIT_AWAY
-    return any(_needs(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
-
-
-def _needs(opcode: int, data: Buffer, body: int, length: int) -> int | None:
-    """Return how many bytes a record of a kind has, as its lengths say; None: they make no sense."""
-    try:
-        return _NEEDED[opcode](data, body, length)
-    except struct.error:
-        return None
+    return any(_body_length(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
 
 
 def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
@@ -188,93 +181,55 @@ def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
     return True
 
 
-def _counted(data: Buffer, at: int) -> int:
-    """Return where a string, map or array that begins with its length ends."""
-    return at + _U32.size + int(_U32.unpack_from(data, at)[0])
+class _Counted(NamedTuple):
+    """A field that begins with its length. `unit`: the size of its entries; `most`: the longest that is credible."""
+
+    length: struct.Struct
+    unit: int = 1
+    most: int = 2**64
 
 
-def _need_message(data: Buffer, at: int, length: int) -> int | None:
-    return max(length, _MESSAGE_BYTES)
-
-
-def _need_chunk(data: Buffer, at: int, length: int) -> int | None:
-    (name_length,) = _U32.unpack_from(data, at + CHUNK_FIXED.size - _U32.size)
-    if name_length > MAX_NAME:
-        return None
-    stored_at = at + CHUNK_FIXED.size + name_length
-    (stored,) = _U64.unpack_from(data, stored_at)
-    return int(stored_at + _U64.size + stored - at)
-
-
-def _need_schema(data: Buffer, at: int, length: int) -> int | None:
-    name_end = _counted(data, at + _U16.size)
-    return _counted(data, _counted(data, name_end)) - at
-
-
-def _need_channel(data: Buffer, at: int, length: int) -> int | None:
-    topic_end = _counted(data, at + 2 * _U16.size)
-    return _counted(data, _counted(data, topic_end)) - at
-
-
-def _need_message_index(data: Buffer, at: int, length: int) -> int | None:
-    end = _counted(data, at + _U16.size)
-    return None if (end - at - _U16.size - _U32.size) % 16 else end - at
-
-
-def _need_chunk_index(data: Buffer, at: int, length: int) -> int | None:
-    name_at = _counted(data, at + 4 * _U64.size) + _U64.size
-    return _counted(data, name_at) + 2 * _U64.size - at
-
-
-def _need_attachment(data: Buffer, at: int, length: int) -> int | None:
-    size_at = _counted(data, _counted(data, at + 2 * _U64.size))
-    size: int = _U64.unpack_from(data, size_at)[0]
-    return size_at + _U64.size + size + _U32.size - at
-
-
-def _need_attachment_index(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at + 5 * _U64.size)) - at
-
-
-def _need_statistics(data: Buffer, at: int, length: int) -> int | None:
-    end = _counted(data, at + records.STATISTICS_BODY.size)
-    return None if (end - at - records.STATISTICS_BODY.size - _U32.size) % 10 else end - at
-
-
-def _need_metadata(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at)) - at
-
-
-def _need_metadata_index(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, at + 2 * _U64.size) - at
-
-
-def _need_header(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at)) - at
-
-
-def _need_footer(data: Buffer, at: int, length: int) -> int | None:
-    end = at + records.FOOTER_BODY.size
-    return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
-
-
-_NEEDED: dict[int, Callable[[Buffer, int, int], int | None]] = {
-    records.HEADER: _need_header,
-    records.FOOTER: _need_footer,
-    records.SCHEMA: _need_schema,
-    records.CHANNEL: _need_channel,
-    records.MESSAGE: _need_message,
-    records.CHUNK: _need_chunk,
-    records.MESSAGE_INDEX: _need_message_index,
-    records.CHUNK_INDEX: _need_chunk_index,
-    records.ATTACHMENT: _need_attachment,
-    records.ATTACHMENT_INDEX: _need_attachment_index,
-    records.STATISTICS: _need_statistics,
-    records.METADATA: _need_metadata,
-    records.METADATA_INDEX: _need_metadata_index,
-    records.SUMMARY_OFFSET: lambda data, at, length: 1 + 2 * _U64.size,
-    records.DATA_END: lambda data, at, length: _U32.size,
+_STRING = _Counted(_U32)
+_LAYOUTS: dict[int, tuple[int | _Counted, ...]] = {
+    records.HEADER: (_STRING, _STRING),
+    records.SCHEMA: (2, _STRING, _STRING, _STRING),
+    records.CHANNEL: (4, _STRING, _STRING, _STRING),
+    records.CHUNK: (28, _Counted(_U32, most=MAX_NAME), _Counted(_U64)),
+    records.MESSAGE_INDEX: (2, _Counted(_U32, unit=16)),
+    records.CHUNK_INDEX: (32, _STRING, 8, _STRING, 16),
+    records.ATTACHMENT: (16, _STRING, _STRING, _Counted(_U64), 4),
+    records.ATTACHMENT_INDEX: (40, _STRING, _STRING),
+    records.STATISTICS: (records.STATISTICS_BODY.size, _Counted(_U32, unit=10)),
+    records.METADATA: (_STRING, _STRING),
+    records.METADATA_INDEX: (16, _STRING),
+    records.SUMMARY_OFFSET: (17,),
+    records.DATA_END: (4,),
 }
+"""Fields of each record: fixed bytes, or bytes that follow their length."""
+
+_OPCODES = frozenset((*_LAYOUTS, records.FOOTER, records.MESSAGE))
+
+
+def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | None:
+    """Return how many bytes a record body has, by the lengths inside it; None: they make no sense."""
+    if opcode == records.MESSAGE:
+        return max(length, _MESSAGE_BYTES)
+    if opcode == records.FOOTER:
+        end = body + records.FOOTER_BODY.size
+        return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
+    at = body
+    try:
+        for part in _LAYOUTS[opcode]:
+            if isinstance(part, int):
+                at += part
+                continue
+            size = int(part.length.unpack_from(data, at)[0])
+            if size % part.unit or size > part.most:
+                return None
+            at += part.length.size + size
+    except struct.error:
+        return None
+    return at - body
 
 
 _SEARCH_BYTES = 4 * 2**20

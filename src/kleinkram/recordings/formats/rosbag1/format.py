@@ -9,12 +9,18 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Fi
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.index import read_index, read_index_data
 from kleinkram.recordings.formats.rosbag1.records import Connection
 from kleinkram.recordings.formats.rosbag1.scan import BagScan, scan_bag_records
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader

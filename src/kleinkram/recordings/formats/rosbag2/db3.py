@@ -20,7 +20,15 @@ from pathlib import Path
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import Format, Head, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    Format,
+    Head,
+    Member,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import (
     LOG_SUFFIXES,
@@ -39,10 +47,8 @@ from kleinkram.recordings.formats.rosbag2.database import (
     replay,
     replayed_copy,
 )
-from kleinkram.recordings.formats.rosbag2.recovered_member import open_recovered
-from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery
+from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery, open_recovered
 from kleinkram.recordings.limits import MAX_DEFINITIONS
-from kleinkram.recordings.member import Member, MemberContents, check_cost
 from kleinkram.recordings.merge import MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
