@@ -1,4 +1,4 @@
-"""How densely messages lie in time: a bounded number of bins whose sums are exact, however they are put together.
+"""Message density: a bounded histogram of messages over time whose parts add up exactly.
 
 Bins are a power of two of nanoseconds wide and begin at a multiple of their width. The width is the smallest with which
 all messages fall into at most so many bins. So it follows from the earliest and the latest stamp alone, and the bins
@@ -31,12 +31,12 @@ _LARGEST = [2 ** (8 * array(code).itemsize) - 1 for code in _CODES]
 
 
 def most_bins(topics: int) -> int:
-    """Return how many bins each of so many topics has, so that all together stay small."""
+    """Return how many bins each of this many topics has."""
     return MAX_BINS if topics <= MANY_TOPICS else BINS_OF_MANY_TOPICS
 
 
 def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> MessageDensity:
-    """Return the density of sorted stamps, at least one. Bins narrower than `least_bin_ns` are not wanted."""
+    """Return the density of sorted stamps, at least one, with bins of at least `least_bin_ns`."""
     bits = _bits(stamps[0], stamps[-1], least_bin_ns.bit_length() - 1, most)
     first = stamps[0] >> bits
     bins = (stamps[-1] >> bits) - first + 1
@@ -56,7 +56,7 @@ def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MA
 
 
 def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> MessageDensity | None:
-    """Return the sum of densities; None of none."""
+    """Return the sum of densities; None if there are none."""
     parts = list(densities)
     if len(parts) == 1 and len(parts[0].counts) <= most:
         return parts[0]
@@ -78,7 +78,7 @@ def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> Mess
 
 
 def on_axis(density: MessageDensity, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
-    """Return the counts in given bins; what lies outside of them is left out.
+    """Return the counts in the given bins, without what is outside of them.
 
     `bin_ns` is a power of two, not smaller than that of the density, and `start_ns` a multiple of it.
     """

@@ -30,14 +30,16 @@ MAX_UNASKED_BYTES = 2**30
 
 
 class Head(NamedTuple):
-    """The first bytes of a file. `path`: where it is on this machine; None: nowhere."""
+    """The first bytes of a file. `path`: where it is on this machine, or None."""
 
     data: bytes
     path: Path | None = None
 
 
 class Summarise(Protocol):
-    """Reads as little of a file as it can; one that must be read whole and has more than `most_bytes` is `pending`."""
+    """Summarises a file by reading as little as possible; `pending` if it must be read whole and is larger than
+    `most_bytes`.
+    """
 
     def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
         """Raise `SourceError` where bytes cannot be read, and nothing else."""
@@ -66,7 +68,7 @@ class RecordingFile:
 
 @dataclass(frozen=True)
 class OpenContext:
-    """What opening a file may cost, and what is known of the recording.
+    """Limits for opening a file, and what is known of its recording.
 
     Attributes:
         stack: closes what is opened here, with the recording.
@@ -127,7 +129,7 @@ class Format:
 
 @dataclass(frozen=True)
 class MemberContents:
-    """What a file says of itself without being read; None: it does not say.
+    """What a file's index says; None: unknown.
 
     Attributes:
         channels: by their number in the file.
@@ -148,14 +150,14 @@ class Member(Protocol):
 
     @property
     def contents(self) -> MemberContents:
-        """What it says of itself."""
+        """What the file's index says."""
 
     @property
     def summary(self) -> RecordingSummary | None:
-        """What is in it, if it was read from end to end to be opened."""
+        """The summary, if the file was scanned to be opened."""
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield what may hold the messages that are wanted, by first time."""
+        """Yield the parts that may hold selected messages, by first time."""
 
 
 class ChunkedMember:
@@ -190,24 +192,24 @@ class ChunkedMember:
 
     @property
     def contents(self) -> MemberContents:
-        """What it says of itself; the span by its message indexes once the index was seen to be wrong."""
+        """What the index says; once the index turned out wrong, the span by its message indexes."""
         check = self._file.check
         if check is None or check.span is None:
             return self._contents
         return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield the chunks that may hold the messages that are wanted, by first time."""
+        """Yield the chunks that may hold selected messages, by first time."""
         return pieces_of(self._file, selection, order)
 
     def doubt_index(self) -> None:
-        """State that the file's index was seen to be wrong."""
+        """Note that the file's index is wrong."""
         if self._file.check is not None:
             self._file.check.doubt()
 
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
-    """Make sure that a file may be read whole; `most_bytes` None: whatever its size.
+    """Check that a file may be read whole; `most_bytes` None: whatever its size.
 
     Raises:
         TooCostly: it has more bytes.

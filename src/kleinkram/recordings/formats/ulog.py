@@ -225,7 +225,7 @@ class _UlogScanner:
         return scan
 
     def _step(self) -> None:
-        """Pass over the messages at hand, or over damage."""
+        """Pass over the messages in memory, or over damage."""
         stream = self._stream
         at_hand = stream.ahead(max(WINDOW // 4, _MAX_MESSAGE))
         end = stream.at + at_hand
@@ -472,7 +472,7 @@ class _MessageParser:
     start_us: int
 
     def __call__(self, content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-        """Return the wanted messages of whole ULog messages, in the order in which they stand."""
+        """Return the wanted messages of whole ULog messages, in the order in which they are."""
         view = bytes(content)
         messages: Block = []
         at = 0

@@ -1,4 +1,4 @@
-"""MCAP: summary by index, scan, and messages."""
+"""The MCAP format, and SVO2, which is an MCAP."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ from kleinkram.recordings.topic_statistics import (
 
 
 def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise a file that begins with the magic of MCAP; scan it where that is impossible, if it has at most
-    `most_bytes`.
+    """Summarise by the index, or else by a scan of at most `most_bytes`.
 
     Raises:
         SourceError: as `Source.read`.
@@ -65,7 +64,7 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_mcap(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
+    """Scan a whole file. `problems`: why its index was not enough.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -74,7 +73,7 @@ def scan_mcap(reader: SequentialReader, problems: Sequence[Problem] = ()) -> Rec
 
 
 def summarise_scan(scan: McapScan, name: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Return the summary of a file that was scanned. `problems`: found before."""
+    """Return the summary of a scan. `problems`: why the index was not enough."""
     all_problems = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.counter.messages
     if claimed is not None and claimed.messages != messages and not all_problems:
@@ -101,7 +100,7 @@ def _by_index(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> Rec
 
 
 def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
-    """Say where the statistics differ from the messages of a file that is whole."""
+    """Report where the statistics differ from the messages of an undamaged file."""
     claimed = facts.statistics
     runs = [run for times in timeline.topics.values() for run in times.runs]
     if claimed is None or not runs:
@@ -124,7 +123,7 @@ def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
 
 
 def _judged(summary: RecordingSummary, facts: McapFacts, losses: DamageReport, *, closed: bool) -> RecordingSummary:
-    """Add how far a file can be read, and what is lost of it."""
+    """Add content, reason and loss."""
     messages = summary.message_count or 0
     content = _content(
         losses, closed=closed, holds_anything=bool(messages or facts.attachments or facts.metadata_records)
@@ -190,7 +189,7 @@ def _topic_types(facts: McapFacts) -> Mapping[str, list[TopicType]]:
 
 
 def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open an MCAP by its index; one without is scanned once, and what is broken in it is noted.
+    """Open by the index, or else by a scan.
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.
@@ -261,7 +260,7 @@ _CAMERA = re.compile(r"Camera_SN(?P<serial>\d{1,20})/(?P<what>\w+)")
 
 
 def as_svo2(summary: RecordingSummary) -> RecordingSummary:
-    """Return the summary of an SVO2's MCAP as that of an SVO2: with its cameras and their frames as facts."""
+    """Return an MCAP summary as that of an SVO2, with cameras and frames as facts."""
     facts: list[Fact] = []
     for topic in summary.topics:
         match = _CAMERA.fullmatch(topic.name)

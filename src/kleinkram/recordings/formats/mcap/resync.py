@@ -1,7 +1,6 @@
-"""Could a record of MCAP begin here? What a scan asks of each record, and, more strictly, where it looks for the next
-one behind damage.
+"""Validates MCAP records by the lengths inside them, and finds the next record after damage.
 
-Looks at the bytes at hand only; decompresses nothing, keeps nothing.
+Looks at the bytes in memory only; decompresses nothing, keeps nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
 
 LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names stand."""
+"""Bytes from the start of a record within which its fixed fields and names are."""
 
 CHUNK_FIXED = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
@@ -52,18 +51,18 @@ def record_end(data: Buffer, at: int, left: int) -> int | None:
 
 
 def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
-    """Say whether a record stands there of a kind that no chunk holds."""
+    """Return whether a record of a kind that is never inside a chunk begins here."""
     inside = (records.SCHEMA, records.CHANNEL, records.MESSAGE)
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
 def no_record(head: Buffer) -> str:
-    """Say what stands where a record should begin: `head`, which is none."""
+    """Describe bytes that are no record."""
     return "no record where one should begin" if any(head) else "zeros where a record should begin"
 
 
 def fault(data: Buffer, at: int, left: int) -> str | None:
-    """Say what is wrong with a record that stands where one should; None: it can be followed.
+    """Return what is wrong with the record that should begin here; None: it can be read.
 
     `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
     we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
@@ -77,7 +76,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     if is_unfinished_chunk(data, at):
         return None
     needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
-    # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
+    # Later versions may add fields to a record, but not to a chunk, which ends in length-prefixed data.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     if (
@@ -89,7 +88,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
 
 
 def is_unfinished_chunk(data: Buffer, at: int) -> bool:
-    """Say whether a chunk was begun there whose lengths were never filled in.
+    """Return whether a chunk begins here whose lengths were never filled in.
 
     Only its data's length, or also that of the record: the recorder writes both once the chunk is complete.
     """
@@ -106,10 +105,10 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
 
 
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
-    """Say whether what claims to be a message has the lengths of a record whose opcode is one bit away from that.
+    """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
     `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
-    may stand; a message elsewhere may look like one by chance.
+    may are; a message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -121,7 +120,7 @@ def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> boo
 
 
 def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
-    """Say why no record can begin at a place; None where one can, or where it is not at hand."""
+    """Return why no record can begin here; None: one can, or the bytes are not in the window."""
     if at + min(LOOK, left) > len(data) or left < RECORD_HEAD.size:
         return None
     opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -139,12 +138,12 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
         return True
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
-    # A message index follows a chunk: what stands before it is one whose beginning is lost.
+    # A message index follows a chunk: what is before it is one whose beginning is lost.
     return is_private or (opcode != records.MESSAGE_INDEX and record_end(data, after, left) is not None)
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record stands.
+    """Return the first place in [start, end) where a record begins.
 
     `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
     few: another record must follow, and several if it is of none of the `channels`.
@@ -164,13 +163,13 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
 
 
 def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
-    """Say whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
+    """Return whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
     places = (match.start() for match in _CHUNK.finditer(data, start, end))
     return any(record_end(data, at, left - (at - start)) is not None for at in places)
 
 
 def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
-    """Say whether so many records follow, or fewer up to the end of the file."""
+    """Return whether this many records follow, or fewer up to the end of the file."""
     for _ in range(records_needed):
         if left == 0:
             return True
@@ -182,7 +181,7 @@ def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
 
 
 class _Counted(NamedTuple):
-    """A field that begins with its length. `unit`: the size of its entries; `most`: the longest that is credible."""
+    """A length-prefixed field. `unit`: the size of its entries; `most`: the largest credible length."""
 
     length: struct.Struct
     unit: int = 1
@@ -211,7 +210,7 @@ _OPCODES = frozenset((*_LAYOUTS, records.FOOTER, records.MESSAGE))
 
 
 def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | None:
-    """Return how many bytes a record body has, by the lengths inside it; None: they make no sense."""
+    """Return the length of a record body by the lengths inside it; None: they are invalid."""
     if opcode == records.MESSAGE:
         return max(length, _MESSAGE_BYTES)
     if opcode == records.FOOTER:
@@ -239,7 +238,7 @@ _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
 def pass_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
-    """Pass over at least one byte, up to the next place where a record of this file stands."""
+    """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
         width = _bring(stream)
@@ -260,7 +259,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
     """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end of the
-    file, whose last magic is its own.
+    file, which ends with its own magic.
     """
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
@@ -271,7 +270,7 @@ def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
 
 
 def _bring(stream: LookaheadStream) -> int:
-    """Bring bytes into the window; return how many of them a record or magic may begin in that is there as a whole."""
+    """Fill the window; return in how many of its bytes a whole record or magic may begin."""
     at_hand = stream.ahead(_SEARCH_BYTES)
     return at_hand if at_hand == stream.left else at_hand - LOOK
 
@@ -281,7 +280,7 @@ def _opens(match: re.Match[bytes]) -> bool:
 
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
-    """Pass over another file, which begins here, and over those in it."""
+    """Skip another MCAP, which begins here, and those inside it."""
     message = "another MCAP begins inside of this one; what stands in it is not counted"
     losses.note(Malformed(f"byte {stream.position}", message))
     depth = 1

@@ -1,4 +1,4 @@
-"""ROS 1 bag 2.0: summary by index, scan, and messages."""
+"""The ROS 1 bag format, version 2.0."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of a ROS 1 bag 2.0. `problems`: why its index is not enough.
+    """Scan a whole bag. `problems`: why its index was not enough.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -70,7 +70,7 @@ def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> Reco
 
 
 def summarise_scan(scan: BagScan, name: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Return the summary of a bag that was scanned. `problems`: why its index was not enough."""
+    """Return the summary of a scan. `problems`: why the index was not enough."""
     losses, messages = scan.losses, scan.counter.messages
     all_problems = [*losses.problems(), *scan.index_faults.problems()]
     if scan.listed is not None and scan.listed != messages and not all_problems:
@@ -87,7 +87,7 @@ def summarise_scan(scan: BagScan, name: str, problems: Sequence[Problem] = ()) -
 
 
 def _content(losses: DamageReport, messages: int) -> Content:
-    """Return what a bag is that is not whole."""
+    """Return the content of a damaged bag."""
     if messages:
         return Content.recovered
     damage = losses.damage
@@ -137,7 +137,7 @@ def _summary(
 
 
 def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open a bag by its index; one without is scanned once, and what is broken in it is noted.
+    """Open by the index, or else by a scan.
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.
