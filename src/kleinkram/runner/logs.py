@@ -10,11 +10,11 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from awscrt.checksums import crc64nvme
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.runners import Runners
 from kleinkram.client.transfer._store import Answer, StoreDoor
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
 from kleinkram.runner.disk import write_whole

@@ -31,8 +31,8 @@ from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.runs import jobs as _run_jobs
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 from kleinkram.server.uploads import jobs as _upload_jobs
 
 _log = logging.getLogger("kleinkram.worker")

@@ -9,8 +9,8 @@ from kleinkram.server.blobs.scrubbing import scrub_store
 from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tables import blob, person
 
 

@@ -61,7 +61,7 @@ def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any
     bodies = {f"{number}.bin": os.urandom(100) for number in range(20)}
     files = upload_all(api, mission_id, {**bodies, "run.mcap": recording, "bad.bin": b"bad", "gone.bin": b"gone"})
     (_, bad), (_, gone) = (_blob(api, files[path]["id"]) for path in ("bad.bin", "gone.bin"))
-    on_site(api, lambda site: site.storage.put_small(bad, b"dab"))
+    on_site(api, lambda site: site.storage.put_object(bad, b"dab"))
     on_site(api, lambda site: site.storage.delete(gone))
     waiting = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'examine_blob' AND status = 'todo'"
     assert api.sql(waiting) == [(23,)]
@@ -119,7 +119,7 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
     _, key = _blob(api, file["id"])
-    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + bytes([body[-1] ^ 1])))
+    on_site(api, lambda site: site.storage.put_object(key, body[:-1] + bytes([body[-1] ^ 1])))
     api.post(f"/files/{file['id']}/verify").ok(202)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()

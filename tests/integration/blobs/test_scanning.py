@@ -158,7 +158,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
     file = upload(api, mission_id, "run.mcap", body)
     key = _key(api, file["id"])
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    on_site(api, lambda site: site.storage.put_small(key, body[:-9] if altered == "shorter" else body + b"more\n"))
+    on_site(api, lambda site: site.storage.put_object(key, body[:-9] if altered == "shorter" else body + b"more\n"))
     began_at = time.monotonic()
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()

@@ -11,7 +11,7 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.blobs import scrubbing, scrubs
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
@@ -43,7 +43,7 @@ def _counts(last: Any) -> tuple[int, int, int]:
 
 
 def _put(api: Api, key: str, body: bytes) -> None:
-    on_site(api, lambda context: context.storage.put_small(key, body))
+    on_site(api, lambda context: context.storage.put_object(key, body))
 
 
 def _remove(api: Api, key: str) -> None:
@@ -184,7 +184,7 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (going, _), *_ = _verified(api, mission_id)
-    listed = Storage.pages
+    listed = Storage.size_pages
     came: list[Any] = []
 
     async def pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
@@ -196,7 +196,7 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
             api.delete(f"/files/{going['id']}").ok()
             api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", going["id"])
 
-    monkeypatch.setattr(Storage, "pages", pages)
+    monkeypatch.setattr(Storage, "size_pages", pages)
 
     async def scrub_beside_a_sweep(context: AppContext) -> None:
         async with context.database.begin() as db:
@@ -227,7 +227,7 @@ def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, mon
             await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
             row = await scrubs.last_scrub(db, context.settings.store_id)
         assert row is not None
-        monkeypatch.setattr(Storage, "pages", pages)
+        monkeypatch.setattr(Storage, "size_pages", pages)
         with pytest.raises(StoreUnavailable):
             await scrubbing.scrub_store(context, row.id)
         monkeypatch.undo()
@@ -241,7 +241,7 @@ def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, mon
 def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     files = _verified(api, mission_id, 23)
     monkeypatch.setattr(scrubbing, "_BATCH", 2)
-    listed = Storage.pages
+    listed = Storage.size_pages
 
     async def small_pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
         async for page in listed(self, prefix):
@@ -249,7 +249,7 @@ def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: 
             for start in range(0, len(keys), 5):
                 yield {key: page[key] for key in keys[start : start + 5]}
 
-    monkeypatch.setattr(Storage, "pages", small_pages)
+    monkeypatch.setattr(Storage, "size_pages", small_pages)
     gone = [files[place][0] for place in (0, 11, 22)]
     for file in gone:
         _remove(api, _key(api, file["id"]))

@@ -11,7 +11,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
 from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site

@@ -14,7 +14,7 @@ from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.storage import open_storage
+from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 
 T = TypeVar("T")
@@ -37,7 +37,9 @@ class SiteThread:
         settings = api.app.state.settings
         database = open_database(settings, statement_timeout_s=None)
         async with open_storage(settings) as storage:
-            ready.set_result(AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings))
+            ready.set_result(
+                AppContext(database, storage.with_capabilities(api.app.state.storage.capabilities), settings)
+            )
             await self._ended.wait()
         await database.close()
 

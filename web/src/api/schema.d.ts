@@ -1401,13 +1401,13 @@ export interface paths {
         };
         /**
          * List Open
-         * @description List your uploads under way into a mission.
+         * @description List your open uploads into a mission.
          */
         get: operations["list_uploads"];
         put?: never;
         /**
          * Begin
-         * @description Say what you want to upload, and hear what to send.
+         * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
         delete?: never;
@@ -2423,14 +2423,14 @@ export interface paths {
         };
         /**
          * Get
-         * @description Get one of your uploads, with the parts that the store holds.
+         * @description Get one of your uploads, with the parts that the store has.
          */
         get: operations["get_upload"];
         put?: never;
         post?: never;
         /**
          * Abort
-         * @description Give up an upload.
+         * @description Abort an upload.
          */
         delete: operations["abort_upload"];
         options?: never;
@@ -2469,7 +2469,7 @@ export interface paths {
         put?: never;
         /**
          * Sign
-         * @description Get the addresses to send parts to; this also renews the leases of their uploads.
+         * @description Get the URLs to send parts to; this also renews the leases of their uploads.
          */
         post: operations["sign_parts"];
         delete?: never;
@@ -3863,18 +3863,6 @@ export interface components {
         Heartbeats: {
             /** Runs */
             runs: components["schemas"]["Heartbeat"][];
-        };
-        /**
-         * HeldPart
-         * @description A part that the store already holds.
-         */
-        HeldPart: {
-            /** Etag */
-            etag: string;
-            /** Number */
-            number: number;
-            /** Size Bytes */
-            size_bytes: number;
         };
         /**
          * HomeRead
@@ -6240,6 +6228,18 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * StoredPart
+         * @description A part that the store already holds.
+         */
+        StoredPart: {
+            /** Etag */
+            etag: string;
+            /** Number */
+            number: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
          * StoreUse
          * @description What the store holds, and what is free on its disk where that is this server's to know.
          */
@@ -6662,7 +6662,7 @@ export interface components {
              * Parts
              * @default []
              */
-            parts: components["schemas"]["HeldPart"][];
+            parts: components["schemas"]["StoredPart"][];
             /** Path */
             path: string;
             /** Size Bytes */

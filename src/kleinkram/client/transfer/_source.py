@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from awscrt.checksums import crc64nvme
-
 from kleinkram.client.errors import FileChanged, FileUnreadable
 from kleinkram.client.transfer.plan import Identity, LocalFile, identity_of
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.uploads import ChecksumKind
 
 SLICE_BYTES = 1024 * 1024

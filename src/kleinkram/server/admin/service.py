@@ -128,7 +128,7 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         runs_problem=runs_problem(queued, known, owners_alone=alone),
         invitation_warning=invitation_warning(known, owners_alone=alone),
         store_checksum=context.storage.checksum.value,
-        store_writes_once=context.storage.abilities.writes_once,
+        store_writes_once=context.storage.capabilities.writes_once,
         store_takes_pages=takes_pages,
     )
 

@@ -116,7 +116,7 @@ async def _summary(
     timeout_s = context.settings.summary_timeout_s + (size_bytes // _SCAN_BYTES_PER_S if logs else 0)
 
     def sign(key: str) -> str:
-        return context.storage.sign_internal_read(key, expires_s=timeout_s + 60)
+        return context.storage.sign_internal_get(key, expires_s=timeout_s + 60)
 
     wanted = {suffix: (sign(log.key), log.size_bytes) for suffix, log in logs.items()}
     request = request_bytes(

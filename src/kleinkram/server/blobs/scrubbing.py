@@ -76,7 +76,7 @@ async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
 async def _compare(walk: _Walk) -> AsyncIterator[None]:
     """Go through the list, and through the blobs that it must show; yield whenever some of them were compared."""
     after = ""
-    async for listed in walk.context.storage.pages():
+    async for listed in walk.context.storage.size_pages():
         if not listed:
             continue
         if min(listed) <= after:

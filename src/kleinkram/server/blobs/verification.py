@@ -13,13 +13,13 @@ from contextlib import aclosing
 from dataclasses import dataclass
 
 from aiohttp import ClientPayloadError
-from awscrt.checksums import crc64nvme
 from sqlalchemy import Row
 
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.context import AppContext
-from kleinkram.server.s3 import S3Error
-from kleinkram.server.storage import Storage, StoreRefused
+from kleinkram.server.s3.client import S3Error
+from kleinkram.server.s3.storage import Storage, StoreRefused
 
 # Read once more where reading stopped.
 _RETRIED_BYTES = 64 * 1024
@@ -118,7 +118,7 @@ async def _read_control(storage: Storage) -> None:
     """
     key, body = f"probe/{uuid.uuid4()}", os.urandom(_CONTROL_BYTES)
     try:
-        await storage.put_small(key, body)
+        await storage.put_object(key, body)
         if await storage.read_range(key, offset=0, size_bytes=_CONTROL_BYTES) != body:
             raise StoreUnavailable(reason="it returns other bytes than were written")
     except (FileNotFoundError, StoreRefused) as error:

@@ -323,7 +323,7 @@ def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
 def _link(context: AppContext, row: Row[Any]) -> DownloadLink:
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    url = context.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    url = context.storage.sign_get(row.key, path=row.path, expires_s=expires_s)
     seen = queries.to_file(row)
     return DownloadLink(
         file_id=seen.id,

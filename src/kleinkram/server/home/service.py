@@ -128,7 +128,7 @@ async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
     if row.multipart_id is None:
         return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
     try:
-        held = await asyncio.wait_for(context.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+        held = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
     # A part sent twice may be listed twice.

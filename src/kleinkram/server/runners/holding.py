@@ -36,7 +36,7 @@ from kleinkram.server.runners import queries
 from kleinkram.server.runners.service import thinned
 from kleinkram.server.runs.ending import end_run
 from kleinkram.server.runs.putting_back import put_back
-from kleinkram.server.storage import PartTarget
+from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     blob,
     file,
@@ -110,7 +110,7 @@ async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, a
             raise NotFound(noun="input", ref=path)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    urls = [context.storage.sign_read(keys[path], path=path, expires_s=expires_s) for path in asked.paths]
+    urls = [context.storage.sign_get(keys[path], path=path, expires_s=expires_s) for path in asked.paths]
     return InputUrls(urls=urls, expires_at=expires_at)
 
 

@@ -29,8 +29,8 @@ from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Tra
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.runners import holding, service
-from kleinkram.server.uploads.artifacts import begin_artifacts
-from kleinkram.server.uploads.completion import finish_cut_off_artifacts
+from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
+from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
 AttemptQuery = Annotated[Attempt, Query()]
@@ -103,8 +103,9 @@ async def begin_uploads_of_run(
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
     async with context.database.begin() as db:
         row = await holding.hold(db, actor, run_id, body.attempt)
-    await finish_cut_off_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
-    return UploadDecisions(items=await begin_artifacts(context, actor, row=row, wanted=body.files))
+    owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
+    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=body.files))
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")

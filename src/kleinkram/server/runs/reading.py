@@ -166,7 +166,7 @@ async def link_artifacts(
     return [
         ArtifactUrl(
             artifact=queries.to_artifact(found[each]),
-            url=context.storage.sign_read(found[each].key, path=found[each].path, expires_s=expires_s),
+            url=context.storage.sign_get(found[each].key, path=found[each].path, expires_s=expires_s),
             expires_at=expires_at,
         )
         for each in artifact_ids

@@ -1,7 +1,7 @@
-"""The types that a schema describes, whatever language it is written in.
+"""Types of a schema, whatever language it is written in, and the bounds on what a schema or a message may claim.
 
-A `Struct` holds its nested types themselves, never names; a type that contains itself cannot be built. Built only by
-`resolve`, which holds the bounds.
+A `Struct` contains its nested types themselves, never names, so a type cannot contain itself. Build one only with
+`resolve`, which checks the bounds: schemas and messages are untrusted.
 """
 
 from __future__ import annotations
@@ -12,7 +12,46 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from kleinkram.recordings.decoding.errors import SchemaError
-from kleinkram.recordings.decoding.limits import MAX_ARRAY, MAX_DEPTH, MAX_FIELDS, MAX_LOOPS
+
+MAX_SCHEMA_BYTES = 2 * 2**20
+"""Bytes of one schema's text. The largest ROS types have about 100 KB with all that they need."""
+
+MAX_TYPES = 2000
+"""Types that one schema may define."""
+
+MAX_FIELDS = 6000
+"""Fields of a type after all nested types are written out: this bounds the size of generated code."""
+
+MAX_DEPTH = 24
+"""How deep types may nest."""
+
+MAX_LOOPS = 12
+"""How deep arrays of types may nest: Python allows 20 blocks in one function."""
+
+MAX_ARRAY = 2**31
+"""Elements of an array of fixed length."""
+
+MAX_OBJECTS = 1_000_000
+"""Objects (nested values and arrays) that one message may turn into: at most about 200 MB."""
+
+MAX_JSON_VALUES = 2_000_000
+"""Values in one JSON message, by the commas and brackets in it."""
+
+MAX_JSON_DEPTH = 100
+"""How deep JSON may nest."""
+
+MAX_IMAGE_PIXELS = 64_000_000
+"""Pixels of one picture: above any camera on a robot, far below what a compressed bomb unpacks to."""
+
+MAX_POINT_FIELDS = 1000
+"""Fields of a point in a cloud."""
+
+BATCH_MESSAGES = 65_536
+"""Messages of one batch of a table."""
+
+BATCH_BYTES = 16 * 2**20
+"""Bytes of messages that are collected for one batch of a table."""
+
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 MAX_IDENTIFIER = 255
@@ -161,10 +200,10 @@ class _Resolver:
         return self._done[definition.name]
 
     def _type(self, text: FieldText, owner: str, above: tuple[str, ...]) -> Type:
-        found = self._find(text.type_name, owner)
-        if found is None:
+        definition = self._find(text.type_name, owner)
+        if definition is None:
             raise SchemaError(f"the type {text.type_name[:100]} of {owner}.{text.name} is not defined")
-        kind: Type = found if isinstance(found, Primitive) else self.struct(found, above)
+        kind: Type = definition if isinstance(definition, Primitive) else self.struct(definition, above)
         for length in text.lengths:
             if length is not None and not 0 <= length <= MAX_ARRAY:
                 raise SchemaError(f"{owner}.{text.name} has {length} elements")

@@ -1,26 +1,30 @@
-"""Values of JSON messages as Arrow arrays where they do not agree on their types: what does not fit is null and named.
+"""JSON and protobuf messages as Arrow batches, whose columns are known only once the messages are read.
 
-A column has the type that most of its values have. Whole numbers are int64, or uint64 if they need it and none is
-negative; with fractions among them all are float64.
+Where the values of a JSON field disagree on their type, the column takes the most frequent one; a value that does not
+fit is null and reported. Whole numbers are int64, or uint64 if one needs it and none is negative; with fractions among
+them all are float64.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import pyarrow as pa
 
+from kleinkram.recordings.decoding.columns import TIME_COLUMNS, NoSuchField, Notice, timed_batch
+from kleinkram.recordings.decoding.decoder import Decoder
 from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.values import to_row
 
 _INT64 = range(-(2**63), 2**63)
 _UINT64 = range(2**64)
 _SHOWN = 40
 
 
-class FreeArrays:
-    """Builds the arrays of one batch of messages.
+class JsonArrays:
+    """Builds the arrays of one batch of JSON messages.
 
     Attributes:
         type_name: of the messages, for errors.
@@ -34,11 +38,11 @@ class FreeArrays:
         self._notice = notice
 
     def build(self, values: list[Any]) -> Any:
-        """Return one array of all messages; never raises for what a value is."""
+        """Return one array of all messages; never raises because of a value."""
         return self.build_field("", values)
 
     def build_field(self, name: str, values: list[Any]) -> Any:
-        """Return the array of one field of all messages; never raises for what a value is."""
+        """Return the array of one field of all messages; never raises because of a value."""
         return self._array(name, values, list(range(len(values))))
 
     def _array(self, name: str, values: list[Any], rows: list[int]) -> Any:
@@ -95,18 +99,18 @@ class FreeArrays:
     def _checked(
         self, name: str, kind: str, values: list[Any], rows: list[int], fits: Callable[[Any], bool]
     ) -> list[Any]:
-        """Return the values with None for those that do not fit, which are named."""
-        kept = []
+        """Return the values, with None for those that do not fit, which are reported."""
+        fitting = []
         for value, row in zip(values, rows, strict=True):
-            is_kept = value is None or fits(value)
-            kept.append(value if is_kept else None)
-            if not is_kept:
+            is_fitting = value is None or fits(value)
+            fitting.append(value if is_fitting else None)
+            if not is_fitting:
                 self._notice(self._log_ns[row], _misfit(self._type_name, name or "value", kind, value))
-        return kept
+        return fitting
 
 
 def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeError], None]) -> Any:
-    """Return batches as one table. A column on whose type they do not agree is made anew of all its values."""
+    """Return batches as one table. A column whose type differs between batches is rebuilt from all its values."""
     tables = list(tables)
     for name in dict.fromkeys(name for table in tables for name in table.column_names):
         having = [place for place, table in enumerate(tables) if name in table.column_names]
@@ -115,7 +119,7 @@ def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeE
         except pa.ArrowException:
             log_ns = [stamp for place in having for stamp in tables[place]["log_time_ns"].to_pylist()]
             values = [value for place in having for value in tables[place][name].to_pylist()]
-            array = FreeArrays(type_name, log_ns, notice).build_field(name, values)
+            array = JsonArrays(type_name, log_ns, notice).build_field(name, values)
             at = 0
             for place in having:
                 table = tables[place]
@@ -156,3 +160,65 @@ def _is_utf8(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+class JsonRows:
+    """Builds batches of JSON and protobuf messages."""
+
+    def __init__(self, decoder: Decoder, fields: Sequence[str] | None, notice: Notice) -> None:
+        self._decoder = decoder
+        self._fields = fields
+        self._notice = notice
+
+    def __call__(self, log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
+        """Return the batch of some messages."""
+        values = [self._decoded(log, raw) for log, raw in zip(log_ns, data, strict=True)]
+        try:
+            array = pa.array(values)
+        except (ValueError, TypeError, OverflowError, pa.ArrowException):
+            array = JsonArrays(self._decoder.type_name, log_ns, self._notice).build(values)
+        named = _named_once(_flattened("", array))
+        if self._fields is not None:
+            self._check([name for name, _ in named] if values else list(self._fields))
+            named = [(name, part) for name, part in named if any(_below(name, field) for field in self._fields)]
+        return timed_batch(log_ns, publish_ns, [name for name, _ in named], [part for _, part in named])
+
+    def _check(self, names: list[str]) -> None:
+        for field in self._fields or ():
+            if not any(_below(name, field) for name in names):
+                raise NoSuchField(
+                    self._decoder.type_name, f"there is no field '{field}'; there are {', '.join(names[:40])}"
+                )
+
+    def _decoded(self, log_ns: int, data: bytes) -> Any:
+        try:
+            value = to_row(self._decoder.decode(data))
+        except DecodeError as error:
+            self._notice(log_ns, error)
+            return None
+        return value if isinstance(value, dict) else {"value": value}
+
+
+def _named_once(named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Put "_" behind names that are taken: {"a.b": 1, "a": {"b": 2}} has two columns."""
+    taken = set(TIME_COLUMNS)
+    unique = []
+    for name, array in named:
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        unique.append((name, array))
+    return unique
+
+
+def _below(name: str, field: str) -> bool:
+    return name == field or name.startswith(f"{field}.")
+
+
+def _flattened(prefix: str, array: Any) -> list[tuple[str, Any]]:
+    if not pa.types.is_struct(array.type):
+        return [(prefix, array)] if prefix else []
+    columns: list[tuple[str, Any]] = []
+    for field, part in zip(array.type, array.flatten(), strict=True):
+        columns += _flattened(f"{prefix}.{field.name}" if prefix else field.name, part)
+    return columns

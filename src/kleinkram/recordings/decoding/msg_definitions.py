@@ -1,7 +1,13 @@
-"""Reading ROS message definitions: ROS 1 (a bag's `message_definition`, MCAP's "ros1msg") and ROS 2 ("ros2msg").
+"""Parser of ROS message definitions, and the definitions that we ship.
 
-The text is untrusted: it is read line by line with patterns that cannot run away, and nothing of it but checked names
-and numbers goes on. Default values and bounds say nothing about the bytes and are passed over.
+Reads ROS 1 (a bag's `message_definition`, MCAP's "ros1msg") and ROS 2 ("ros2msg").
+
+The text is untrusted: it is read line by line with linear patterns, and only checked names and numbers leave the
+parser. Default values and bounds do not affect the bytes and are ignored.
+
+`well_known.txt` has the types of common_interfaces and the core packages, for rosbag2 databases without definitions. A
+recording's own definition always wins. Few types changed between releases: the definition of Humble is the default, and
+that of another release is used where the default does not fit a message.
 
 Source: wiki.ros.org/msg; "Interface definition" of the ROS 2 documentation; MCAP's well-known schema encodings.
 """
@@ -11,10 +17,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from enum import Enum
+from functools import lru_cache
+from importlib.resources import files
 
 from kleinkram.recordings.decoding.errors import SchemaError
-from kleinkram.recordings.decoding.limits import MAX_TYPES
-from kleinkram.recordings.decoding.schema import (
+from kleinkram.recordings.decoding.types import (
+    MAX_TYPES,
     PRIMITIVES,
     ConstantValue,
     Definition,
@@ -64,10 +72,10 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
     if ros is Ros.one:
         del primitives["wstring"]
 
-    def find(wanted: str, owner: str) -> Primitive | Definition | None:
-        if wanted in primitives:
-            return primitives[wanted]
-        for candidate in _candidates(wanted, owner, ros):
+    def find(type_name: str, owner: str) -> Primitive | Definition | None:
+        if type_name in primitives:
+            return primitives[type_name]
+        for candidate in _candidates(type_name, owner, ros):
             definition = definitions.get(candidate) or by_short_name.get(short_name(candidate))
             if definition is not None:
                 return definition
@@ -79,16 +87,16 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
     return resolve(root, find)
 
 
-def _candidates(wanted: str, owner: str, ros: Ros) -> tuple[str, ...]:
+def _candidates(type_name: str, owner: str, ros: Ros) -> tuple[str, ...]:
     """Return the full names that a type name in a definition of `owner` can stand for, the first choice first.
 
     A name with a package is never one of the owner's package.
     """
-    if "/" in wanted:
-        return (wanted,)
-    own = f"{owner.partition('/')[0]}/{wanted}"
-    if wanted != "Header":
-        return (own, wanted)
+    if "/" in type_name:
+        return (type_name,)
+    own = f"{owner.partition('/')[0]}/{type_name}"
+    if type_name != "Header":
+        return (own, type_name)
     return ("std_msgs/Header", own) if ros is Ros.one else (own, "std_msgs/Header")
 
 
@@ -118,19 +126,19 @@ def split_blocks(text: str, mark: str) -> list[tuple[str | None, str]]:
 
 
 def _split(root: str, text: str) -> dict[str, Definition]:
-    found: dict[str, Definition] = {}
+    definitions: dict[str, Definition] = {}
     for name, block in split_blocks(text, "MSG:"):
         if name is None:
             sections = re.split(r"^---[ \t]*$", block, flags=re.MULTILINE)
             if len(sections) == 2:
-                found.update(_service(root, sections))
+                definitions.update(_service(root, sections))
             elif len(sections) == 1:
-                found[root] = _definition(root, block)
+                definitions[root] = _definition(root, block)
             else:
                 raise SchemaError("definitions of actions are not read")
         else:
-            found.setdefault(name, _definition(name, block))
-    return found
+            definitions.setdefault(name, _definition(name, block))
+    return definitions
 
 
 def _service(root: str, sections: list[str]) -> dict[str, Definition]:
@@ -209,3 +217,49 @@ def _built_in(ros: Ros) -> Mapping[str, Definition]:
     else:
         built_in.append(Definition("std_msgs/msg/Header", frame))
     return {definition.name: definition for definition in built_in}
+
+
+@lru_cache(maxsize=1)
+def known_definitions() -> dict[str, list[str]]:
+    """Return the definitions by short names ("sensor_msgs/Imu"): the default first, then those of other releases."""
+    text = (files("kleinkram.recordings.decoding") / "well_known.txt").read_text("utf-8")
+    definitions: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        name, mark, definition = line.partition(":")
+        if mark and not line.startswith("#"):
+            definitions.setdefault(name, []).append(definition.strip().replace("; ", "\n"))
+    return definitions
+
+
+def well_known_definitions(name: str) -> list[str]:
+    """Return the texts that may define a ROS 2 type ("sensor_msgs/msg/Imu"), the default first; none for other types.
+
+    Each text has all types behind it that the type needs; each but the first takes one type from another release.
+    """
+    known = known_definitions()
+    root = short_name(name)
+    if root not in known or (name.count("/") > 1 and "/msg/" not in name):
+        return []
+    needed = _needed(root)
+    default = {needed_name: known[needed_name][0] for needed_name in needed}
+    others = [{**default, changed: other} for changed in needed for other in known[changed][1:]]
+    return [_joined(root, definitions) for definitions in (default, *others)]
+
+
+def _needed(root: str) -> list[str]:
+    """Return a type and all that any of its definitions mention, at whatever depth."""
+    known = known_definitions()
+    needed = [root]
+    for name in needed:
+        package = name.partition("/")[0]
+        lines = [line for definition in known[name] for line in definition.splitlines()]
+        for kind in (line.partition(" ")[0].partition("[")[0] for line in lines):
+            full = kind if "/" in kind else f"{package}/{kind}"
+            if full in known and full not in needed:
+                needed.append(full)
+    return needed
+
+
+def _joined(root: str, definitions: dict[str, str]) -> str:
+    others = (f"===\nMSG: {name}\n{text}" for name, text in definitions.items() if name != root)
+    return "\n".join([definitions[root] or "# no fields", *others])

@@ -1,7 +1,7 @@
-"""Reading IDL as rosbag2 and others keep it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
+"""Parser of IDL as rosbag2 and others store it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
 
-The text is untrusted: tokens are bounded, modules nest as deep as types may, and nothing but checked names and numbers
-goes on. Unions, maps, bit sets, optional members and inheritance, which rosidl never writes, are refused by name.
+The text is untrusted: tokens and nesting are bounded, and only checked names and numbers leave the parser. Unions,
+maps, bit sets, optional members and inheritance, which rosidl never writes, are rejected by name.
 
 Source: OMG IDL 4.2; OMG DDS-XTypes 1.3 (sizes of enums); rosidl's generated files.
 """
@@ -12,9 +12,11 @@ import re
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.decoding.errors import SchemaError
-from kleinkram.recordings.decoding.limits import MAX_DEPTH, MAX_LOOPS, MAX_TYPES
-from kleinkram.recordings.decoding.msg_text import split_blocks
-from kleinkram.recordings.decoding.schema import (
+from kleinkram.recordings.decoding.msg_definitions import split_blocks
+from kleinkram.recordings.decoding.types import (
+    MAX_DEPTH,
+    MAX_LOOPS,
+    MAX_TYPES,
     PRIMITIVES,
     ConstantValue,
     Definition,
@@ -51,7 +53,7 @@ _REFUSED_TYPES = {"map", "fixed", "any", "wchar"}
 
 @dataclass
 class _Scope:
-    """What has been declared so far; names are whole paths such as "std_msgs/msg/Header"."""
+    """The declarations read so far; names are whole paths such as "std_msgs/msg/Header"."""
 
     structs: dict[str, list[FieldText]] = field(default_factory=dict)
     typedefs: dict[str, tuple[str, str, tuple[int | None, ...]]] = field(default_factory=dict)
@@ -59,7 +61,7 @@ class _Scope:
     constants: dict[str, ConstantValue] = field(default_factory=dict)
 
     def declares(self, path: str) -> bool:
-        """Say whether a path is that of a type."""
+        """Return whether a path names a type."""
         return path in self.typedefs or path in self.structs or path in self.enums
 
 
@@ -71,19 +73,19 @@ def parse_idl(name: str, text: str) -> Struct:
     """
     scope = _Scope()
     for _, block in split_blocks(text, "IDL:"):
-        _Parser(block, scope).declarations("", 0)
+        _IdlParser(block, scope).declarations("", 0)
     path = name.replace("::", "/")
-    found = next((p for p in (path, path.replace("/", "/msg/", 1)) if p in scope.structs), None)
-    if found is None:
+    declared = next((p for p in (path, path.replace("/", "/msg/", 1)) if p in scope.structs), None)
+    if declared is None:
         raise SchemaError(f"the schema's text does not define {name}")
 
     definitions = _Definitions(scope)
-    return resolve(definitions.get(found), definitions.find)
+    return resolve(definitions.get(declared), definitions.find)
 
 
-def _candidates(wanted: str, owner: str) -> list[str]:
+def _candidates(type_name: str, owner: str) -> list[str]:
     """Return where a name may be declared, innermost first."""
-    path = wanted.replace("::", "/")
+    path = type_name.replace("::", "/")
     if path.startswith("/"):
         return [path[1:]]
     modules = owner.split("/")[:-1]
@@ -101,11 +103,11 @@ class _Definitions:
             module, _, name = key.rpartition("/")
             self._constants.setdefault(module, {})[name] = value
 
-    def find(self, wanted: str, owner: str) -> Primitive | Definition | None:
+    def find(self, type_name: str, owner: str) -> Primitive | Definition | None:
         """Return what a name means where `owner` mentions it."""
-        if wanted in PRIMITIVES:
-            return PRIMITIVES[wanted]
-        for candidate in _candidates(wanted, owner):
+        if type_name in PRIMITIVES:
+            return PRIMITIVES[type_name]
+        for candidate in _candidates(type_name, owner):
             if candidate in self._scope.enums:
                 return self._scope.enums[candidate]
             if candidate in self._scope.structs:
@@ -122,19 +124,19 @@ class _Definitions:
     def _unalias(self, text: FieldText, path: str) -> FieldText:
         """Return a field of the struct `path` with what its typedefs stand for."""
         scope = self._scope
-        wanted, owner, lengths = text.type_name, path, text.lengths
+        type_name, owner, lengths = text.type_name, path, text.lengths
         for _ in range(MAX_DEPTH):
             # The innermost declaration of a name counts, whether it is a typedef or not.
-            alias = next((c for c in _candidates(wanted, owner) if scope.declares(c)), None)
+            alias = next((c for c in _candidates(type_name, owner) if scope.declares(c)), None)
             if alias is None or alias not in scope.typedefs:
                 break
-            wanted, owner, inner = scope.typedefs[alias]
+            type_name, owner, inner = scope.typedefs[alias]
             lengths = inner + lengths
         else:
             raise SchemaError(f"the typedefs of {path}.{text.name} do not end")
         # What a typedef names is found from where the typedef stands.
-        whole = next((c for c in _candidates(wanted, owner) if c in scope.structs or c in scope.enums), None)
-        return FieldText(text.name, wanted if whole is None else f"::{whole.replace('/', '::')}", lengths)
+        whole = next((c for c in _candidates(type_name, owner) if c in scope.structs or c in scope.enums), None)
+        return FieldText(text.name, type_name if whole is None else f"::{whole.replace('/', '::')}", lengths)
 
 
 def _tokens(text: str) -> list[str]:
@@ -148,7 +150,7 @@ def _tokens(text: str) -> list[str]:
             continue
         match = _TOKEN.match(text, at)
         if match is None:
-            raise SchemaError(f"'{text[at : at + 20]}' is no IDL")
+            raise SchemaError(f"'{text[at : at + 20]}' is not IDL")
         at = match.end()
         if match["token"]:
             tokens.append(match["token"])
@@ -157,8 +159,8 @@ def _tokens(text: str) -> list[str]:
     return tokens
 
 
-class _Parser:
-    """Walks over the tokens of one file and fills a scope."""
+class _IdlParser:
+    """Parses the tokens of one file into a scope."""
 
     def __init__(self, text: str, scope: _Scope) -> None:
         self._tokens = _tokens(text)
@@ -188,7 +190,7 @@ class _Parser:
             elif word in _REFUSED:
                 raise SchemaError(f"IDL's {word} is not read")
             elif word != ";":
-                raise SchemaError(f"'{word[:40]}' is no declaration")
+                raise SchemaError(f"'{word[:40]}' is not a declaration")
             if len(self._scope.structs) + len(self._scope.typedefs) > 2 * MAX_TYPES:
                 raise SchemaError(f"more than {MAX_TYPES} types")
 
@@ -209,12 +211,12 @@ class _Parser:
 
     def _members(self, owner: str) -> list[FieldText]:
         type_name, inner = self._type(owner, 0)
-        found = []
+        fields = []
         while True:
             name, lengths = self._declarator(owner)
-            found.append(FieldText(name, type_name, inner + lengths))
+            fields.append(FieldText(name, type_name, inner + lengths))
             if self._next_of(",", ";") == ";":
-                return found
+                return fields
 
     def _typedef(self, modules: str) -> None:
         for member in self._members(modules):
@@ -262,7 +264,7 @@ class _Parser:
         if word in _REFUSED_TYPES or word in ("long double", "unsigned"):
             raise SchemaError(f"IDL's type {word} is not read")
         if not re.match(r"(::)?[A-Za-z_]", word):
-            raise SchemaError(f"'{word[:40]}' is no type")
+            raise SchemaError(f"'{word[:40]}' is not a type")
         return _NAMES.get(word, word), ()
 
     def _declarator(self, owner: str) -> tuple[str, tuple[int | None, ...]]:
@@ -282,24 +284,24 @@ class _Parser:
         for candidate in _candidates(word, owner) if value is None else ():
             value = self._scope.constants.get(candidate, value)
         if not isinstance(value, int):
-            raise SchemaError(f"'{word[:40]}' is no length")
+            raise SchemaError(f"'{word[:40]}' is not a length")
         return value
 
     def _annotations(self) -> dict[str, str]:
-        """Pass over annotations; returns their names with the first word of their arguments."""
-        found: dict[str, str] = {}
+        """Skip annotations and return their names with the first word of their arguments."""
+        annotations: dict[str, str] = {}
         while self._peek() == "@":
             self._next()
             name = self._next()
-            found[name] = ""
+            annotations[name] = ""
             if self._peek() == "(":
                 self._next()
-                found[name] = self._peek()
+                annotations[name] = self._peek()
                 self._skip_to(")")
-        return found
+        return annotations
 
     def _skip_to(self, closing: str) -> None:
-        """Pass over everything up to a bracket that was opened already."""
+        """Skip everything up to the bracket that closes an open one."""
         opening, depth = {")": "(", "}": "{"}[closing], 1
         while depth:
             word = self._next()
@@ -318,7 +320,7 @@ class _Parser:
     def _next_of(self, *words: str) -> str:
         word = self._next()
         if word not in words:
-            raise SchemaError(f"'{word[:40]}' stands where one of {' '.join(words)} is due")
+            raise SchemaError(f"'{word[:40]}' is not one of {' '.join(words)}")
         return word
 
     def _expect(self, word: str) -> None:
@@ -328,7 +330,7 @@ class _Parser:
         """Return a simple name; a leading "_" only says that it is no keyword of IDL."""
         word = self._next()
         if not re.fullmatch(r"[A-Za-z_]\w*", word, re.ASCII):
-            raise SchemaError(f"'{word[:40]}' is no name")
+            raise SchemaError(f"'{word[:40]}' is not a name")
         return word.removeprefix("_")
 
 
