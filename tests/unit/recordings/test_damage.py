@@ -52,18 +52,18 @@ def make_mcap(compression: Compression) -> Whole:
 
 def mcap_chunks(data: bytes) -> list[tuple[int, int, int]]:
     """Return the chunks by a plain walk; the message indexes behind each tell its messages."""
-    found: list[tuple[int, int, int]] = []
+    actual: list[tuple[int, int, int]] = []
     at = len(records.MAGIC)
     while data[at] != records.DATA_END:
         opcode, length = records.RECORD_HEAD.unpack_from(data, at)
         end = at + records.RECORD_HEAD.size + length
         if opcode == records.CHUNK:
-            found.append((at, end, 0))
+            actual.append((at, end, 0))
         elif opcode == records.MESSAGE_INDEX:
-            start, chunk_end, messages = found.pop()
-            found.append((start, chunk_end, messages + (length - 6) // 16))
+            start, chunk_end, messages = actual.pop()
+            actual.append((start, chunk_end, messages + (length - 6) // 16))
         at = end
-    return found
+    return actual
 
 
 def make_unchunked() -> Whole:

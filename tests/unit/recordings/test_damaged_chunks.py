@@ -13,18 +13,17 @@ import lz4.frame
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, Lost, RecordingSummary
+from kleinkram.recordings import Content, Lost, Recording, RecordingSummary
 from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import accounts_of, disagreements
 from .memory_source import MemorySource
-from .reading import making
+from .reading import builders
 from .test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
@@ -239,7 +238,7 @@ def test_a_chunk_above_the_limit_is_left_out_by_all_readers(
 ) -> None:
     monkeypatch.setattr("kleinkram.recordings.compression.MAX_CHUNK_BYTES", 50_000)
     small, large = [("/t", T0 + n, b"x" * 10) for n in range(5)], [("/t", T0 + 10 + n, b"x" * 1000) for n in range(100)]
-    source = (making.mcap_of if kind == "mcap" else making.bag_of)([small, large, [("/t", T0 + 1000, b"x")]])
+    source = (builders.mcap_of if kind == "mcap" else builders.bag_of)([small, large, [("/t", T0 + 1000, b"x")]])
     path = tmp_path / f"a.{kind}"
     path.write_bytes(source.read(0, source.size_bytes))
     (accounts,) = accounts_of(tmp_path)

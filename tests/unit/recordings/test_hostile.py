@@ -104,9 +104,9 @@ def test_the_small_files_are_whole() -> None:
     ],
 )
 def test_an_index_that_lies_is_not_believed(summary: bytes) -> None:
-    found = summarise_bytes(mcap_of(b"", summary))
-    assert found.message_count == 0
-    assert found.problems
+    actual = summarise_bytes(mcap_of(b"", summary))
+    assert actual.message_count == 0
+    assert actual.problems
 
 
 def test_a_summary_that_begins_beyond_the_file() -> None:
@@ -328,7 +328,7 @@ def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_s
     assert "nothing is lost" not in (summary.reason or "")
 
 
-def test_an_attachment_with_a_wrong_checksum_is_told() -> None:
+def test_an_attachment_with_a_wrong_checksum_is_reported() -> None:
     attachment = record(records.ATTACHMENT, bytes(24) + struct.pack("<Q", 5) + b"12345" + b"\1\2\3\4")
     summary = summarise_bytes(mcap_of(attachment))
     assert (summary.content, summary.attachments) == (Content.recovered, 1)

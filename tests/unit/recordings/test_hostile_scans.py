@@ -158,7 +158,7 @@ def test_a_topic_may_have_any_name() -> None:
     pieces = [records.RECORD_HEAD.pack(records.CHANNEL, len(definition)) + definition]
     pieces += 3 * [records.RECORD_HEAD.pack(records.MESSAGE, len(message)) + message]
     summary = scan(source_reader(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
-    assert [(found.name, found.count) for found in summary.topics] == [(topic.decode(), 3)]
+    assert [(actual.name, actual.count) for actual in summary.topics] == [(topic.decode(), 3)]
 
 
 def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypatch: pytest.MonkeyPatch) -> None:

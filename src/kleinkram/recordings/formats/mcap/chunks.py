@@ -1,4 +1,4 @@
-"""The messages of an MCAP one after the other, as fast as Python goes: most of the time of a scan passes here."""
+"""Messages in MCAP chunks: the fast loops of scans, and parsing of selected messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _INDEXED_HEAD = struct.Struct("<B8xH4xQ")
 
 
 def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], offsets: array[int]) -> bool:
-    """Say whether a message of a channel with each of these log times stands at each of these places of a chunk."""
+    """Return whether the messages of a channel with these log times are at these offsets of a chunk."""
     if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
         return False
     heads = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
@@ -39,10 +39,10 @@ def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], o
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
-    """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
+    """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
     Returns:
-        Where that stands, and where the last message begins; twice the same without any message.
+        Where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
     last_head, start = end - size, at
@@ -61,7 +61,7 @@ _DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.re
 
 
 class ChunkHead(NamedTuple):
-    """The fixed fields of a chunk record; `data_start` counts from the record's own start."""
+    """The fixed fields of a chunk record; `data_start` counts from the start of the record."""
 
     compression: str
     uncompressed: int
@@ -74,7 +74,7 @@ class ChunkHead(NamedTuple):
 
 
 class McapChunkContents(NamedTuple):
-    """What a walk through the records of a chunk came to.
+    """The result of reading the records of a chunk.
 
     Attributes:
         walked: bytes of records that could be followed.
@@ -88,7 +88,7 @@ class McapChunkContents(NamedTuple):
 
 
 def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
-    """Read the head of a chunk record whose lengths are known to agree, or that was never finished."""
+    """Read the head of a chunk record whose lengths agree, or that was never finished."""
     (length,) = _U64.unpack_from(data, at + 1)
     at += RECORD_HEAD.size
     first_ns, last_ns, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
@@ -129,7 +129,7 @@ def notify(facts: McapFacts, place: MessagePlace, batch: Batch) -> None:
 
 
 def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkContents:
-    """Add the messages of records to the batch, as far as they can be followed."""
+    """Add the messages of records to the batch, up to the first damage."""
     at, end = 0, len(raw)
     while True:
         at, _ = walk_messages(raw, at, end, batch)
@@ -150,7 +150,7 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkConten
 
 
 def read_large_message(stream: LookaheadStream) -> tuple[int, tuple[int, int, int]]:
-    """Return channel and row of the next message, of which only the head is at hand.
+    """Return channel and row of the next message, of which only the head is in the window.
 
     Raises:
         Malformed: it is too short to be one.
@@ -169,7 +169,7 @@ _MOST_OF_RUN = 8192
 
 
 class McapRecord(NamedTuple):
-    """A record; of a message `head` are the fields before its data, of a definition the whole body, else nothing."""
+    """A record. `head`: of a message, the fields before its data; of a definition, the body; else empty."""
 
     opcode: int
     start: int
@@ -212,7 +212,7 @@ def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
 
 
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
-    """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
+    """Return the messages that the indexes after a chunk list; None if there are none, or they cannot be read.
 
     Raises:
         SourceError: as `Source.read`.
@@ -235,7 +235,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
 
 
 def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the wanted messages of records, in the order in which they stand.
+    """Return the selected messages of records, in file order.
 
     Raises:
         Malformed: a record reaches beyond the content.
@@ -264,7 +264,7 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
 
 
 def _is_short_tail(view: bytes, at: int) -> bool:
-    """Say whether what is left, less than a message needs, is whole records."""
+    """Return whether the rest, shorter than a message, is whole records."""
     while at + records.RECORD_HEAD.size <= len(view):
         opcode, length = records.RECORD_HEAD.unpack_from(view, at)
         if opcode == records.MESSAGE:
@@ -274,7 +274,7 @@ def _is_short_tail(view: bytes, at: int) -> bool:
 
 
 def read_records(stream: ByteStream) -> Iterator[McapRecord]:
-    """Yield the records of a stream; what the caller did not take of one is skipped.
+    """Yield the records of a stream; unread bytes of one are skipped.
 
     Raises:
         Malformed: no record begins where one should, or the last one is cut.
@@ -299,7 +299,7 @@ def read_records(stream: ByteStream) -> Iterator[McapRecord]:
 
 
 class RunBuilder:
-    """Gathers messages that follow each other without a chunk into rows of about 1 MB."""
+    """Combines adjacent messages outside of chunks into rows of about 1 MB."""
 
     def __init__(self, table: ChunkTable) -> None:
         self._table = table
@@ -309,7 +309,7 @@ class RunBuilder:
         self._count = 0
 
     def add(self, start: int, end: int, channel_id: int, log_ns: int) -> None:
-        """Add a message that stands at [start, end)."""
+        """Add a message that is at [start, end)."""
         if not self._count:
             self._start = start
         elif end - self._start > WINDOW or self._count >= _MOST_OF_RUN:
@@ -321,7 +321,7 @@ class RunBuilder:
         self._count += 1
 
     def close(self) -> None:
-        """End the row that was begun, if any: something else follows."""
+        """End the current row, if there is one."""
         if self._count:
             length = self._end - self._start
             members = self._table.sets.number(self._channels)
@@ -332,7 +332,7 @@ class RunBuilder:
 
 
 def table_of_records(stream: ByteStream) -> ChunkTable:
-    """Return where the messages of a stream stand, up to where it is damaged."""
+    """Return the places of the messages in a stream, up to the first damage."""
     table = ChunkTable()
     builder = RunBuilder(table)
     try:
@@ -343,6 +343,6 @@ def table_of_records(stream: ByteStream) -> ChunkTable:
                 stream.skip(end - stream.position)
                 builder.add(record.start, end, channel_id, log_ns)
     except Malformed:
-        pass  # whoever wrote the stream has said what is wrong with it
+        pass  # already reported by the writer of the stream
     builder.close()
     return table

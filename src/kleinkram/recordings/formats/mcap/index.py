@@ -1,4 +1,4 @@
-"""The index of an MCAP: footer, summary section, and on request the message indexes behind each chunk.
+"""The index of an MCAP: footer, summary section and, on request, message indexes.
 
 Reads no chunk and decompresses nothing. Where the index cannot be used, or does not add up, `read_index` raises
 `NotIndexed`, and the file must be scanned.
@@ -40,7 +40,7 @@ _READERS = {
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
-    """Return what the summary section says of an MCAP.
+    """Read the index.
 
     Args:
         source: the file.
@@ -93,7 +93,7 @@ class _KnownEnds:
 
 
 def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
-    """Read all records between the data section and the footer; return where they begin."""
+    """Read the records between data section and footer; return where they begin."""
     tail, tail_start = known.tail, known.tail_start
     footer_at = len(tail) - records.FOOTER_BYTES
     if footer_at < len(records.MAGIC) or not tail.endswith(records.MAGIC):
@@ -136,7 +136,7 @@ def _read_summary_record(stream: ByteStream, facts: McapFacts) -> None:
 
 
 def _read_header(known: _KnownEnds, facts: McapFacts) -> None:
-    """Note profile and library; a damaged header leaves the index as it is."""
+    """Read profile and library; a damaged header does not invalidate the index."""
     start = len(records.MAGIC)
     stream = open_bytes(known.read(start, _HEAD_BYTES - start), start)
     try:
@@ -175,7 +175,7 @@ def _check_places(facts: McapFacts, summary_start: int) -> None:
 
 
 def _check_compressions(source: Source, facts: McapFacts) -> None:
-    """Keep of the unknown compressions those that the chunks themselves name, too."""
+    """Keep those unknown compressions that the chunks themselves confirm."""
     for row in facts.table.rows if facts.unknown_compression else ():
         named = facts.unknown_compression.get(row.start)
         if named is None:
@@ -189,7 +189,7 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
 
 
 def _read_compression(source: Source, row: Row) -> str | None:
-    """Return the compression that the head of a chunk names; None where no chunk stands."""
+    """Return the compression in the head of a chunk; None if there is no chunk."""
     stream = open_range(source, row.start, row.end, window=_CHUNK_HEAD_BYTES)
     try:
         opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
@@ -224,7 +224,7 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
 
 
 def _index_streams(source: Source, facts: McapFacts) -> Iterator[ByteStream]:
-    """Yield the message indexes of each chunk; over a network, those of the next few are fetched meanwhile."""
+    """Yield the message indexes of each chunk; over a network, the next ones are fetched meanwhile."""
     rows = facts.table.rows
     if any(row.end - row.start - row.length > WINDOW for row in rows):
         for row in rows:
@@ -256,7 +256,7 @@ def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[Chun
 
 
 def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
-    """Refuse an index that does not account for all messages, or that a chunk is missing from."""
+    """Refuse an index that does not list all messages."""
     listed = sum(times.count for times in timeline.topics.values()) + losses.messages
     if facts.statistics is None:
         if any(row.uncompressed_bytes and row.start + row.length == row.end for row in facts.table.rows):
@@ -270,7 +270,7 @@ def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Damag
 
 
 def _check_table(facts: McapFacts) -> None:
-    """Refuse a chunk index that leaves out chunks or channels; without message indexes, no count would show it."""
+    """Refuse a chunk index that omits chunks or channels, which no message count would show."""
     rows, statistics = facts.table.rows, facts.statistics
     if statistics is not None and len(rows) != statistics.chunks:
         message = f"the statistics say {counted(statistics.chunks, 'chunk')}, the index lists {len(rows)}"
@@ -282,7 +282,7 @@ def _check_table(facts: McapFacts) -> None:
 
 
 def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_start: int) -> None:
-    """Walk over the records that no index covers: messages or chunks among them are missing from the index."""
+    """Refuse an index that omits messages or chunks, by the records that it does not cover."""
     position, left = len(records.MAGIC), _MAX_RECORDS_WALKED
     covered = ((row.start, row.end) for row in facts.table.rows)
     for start, end in chain(heapq.merge(covered, sorted(facts.outside_chunks)), [(summary_start, summary_start)]):

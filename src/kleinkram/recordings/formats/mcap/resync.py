@@ -1,14 +1,14 @@
-"""Could a record of MCAP begin here? What a scan asks of each record, and, more strictly, where it looks for the next
-one behind damage.
+"""Validates MCAP records by the lengths inside them, and finds the next record after damage.
 
-Looks at the bytes at hand only; decompresses nothing, keeps nothing.
+Looks at the bytes in memory only; decompresses nothing, keeps nothing.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Container
+from collections.abc import Container
+from typing import NamedTuple
 
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
@@ -19,7 +19,7 @@ from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
 
 LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names stand."""
+"""Bytes from the start of a record within which its fixed fields and names are."""
 
 CHUNK_FIXED = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
@@ -45,38 +45,38 @@ def record_end(data: Buffer, at: int, left: int) -> int | None:
         return None
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     body = at + RECORD_HEAD.size
-    if opcode not in _NEEDED or RECORD_HEAD.size + length > left:
+    if opcode not in _OPCODES or RECORD_HEAD.size + length > left:
         return None
-    return body + length if _needs(opcode, data, body, length) == length else None
+    return body + length if _body_length(opcode, data, body, length) == length else None
 
 
 def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
-    """Say whether a record stands there of a kind that no chunk holds."""
+    """Return whether a record of a kind that is never inside a chunk begins here."""
     inside = (records.SCHEMA, records.CHANNEL, records.MESSAGE)
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
 def no_record(head: Buffer) -> str:
-    """Say what stands where a record should begin: `head`, which is none."""
+    """Describe bytes that are no record."""
     return "no record where one should begin" if any(head) else "zeros where a record should begin"
 
 
 def fault(data: Buffer, at: int, left: int) -> str | None:
-    """Say what is wrong with a record that stands where one should; None: it can be followed.
+    """Return what is wrong with the record that should begin here; None: it can be read.
 
     `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
     we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
-    is_known = opcode in _NEEDED
+    is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return no_record(data[at : at + RECORD_HEAD.size])
     if not is_known or opcode == records.MESSAGE:
         return None
     if is_unfinished_chunk(data, at):
         return None
-    needed = _needs(opcode, data, at + RECORD_HEAD.size, length)
-    # Later versions may add fields to a record. Not to a chunk, which ends in data of a length that stands before it.
+    needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
+    # Later versions may add fields to a record, but not to a chunk, which ends in length-prefixed data.
     if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     if (
@@ -88,7 +88,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
 
 
 def is_unfinished_chunk(data: Buffer, at: int) -> bool:
-    """Say whether a chunk was begun there whose lengths were never filled in.
+    """Return whether a chunk begins here whose lengths were never filled in.
 
     Only its data's length, or also that of the record: the recorder writes both once the chunk is complete.
     """
@@ -105,10 +105,10 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
 
 
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
-    """Say whether what claims to be a message has the lengths of a record whose opcode is one bit away from that.
+    """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
     `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
-    may stand; a message elsewhere may look like one by chance.
+    may are; a message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -116,19 +116,11 @@ def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> boo
     if opcode != records.MESSAGE or length > left - RECORD_HEAD.size:
         return False
     kinds = (*_ONE_BIT_AWAY, records.MESSAGE_INDEX) if behind_chunk else _ONE_BIT_AWAY
-    return any(_needs(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
-
-
-def _needs(opcode: int, data: Buffer, body: int, length: int) -> int | None:
-    """Return how many bytes a record of a kind has, as its lengths say; None: they make no sense."""
-    try:
-        return _NEEDED[opcode](data, body, length)
-    except struct.error:
-        return None
+    return any(_body_length(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
 
 
 def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
-    """Say why no record can begin at a place; None where one can, or where it is not at hand."""
+    """Return why no record can begin here; None: one can, or the bytes are not in the window."""
     if at + min(LOOK, left) > len(data) or left < RECORD_HEAD.size:
         return None
     opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -146,12 +138,12 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
         return True
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
-    # A message index follows a chunk: what stands before it is one whose beginning is lost.
+    # A message index follows a chunk: what is before it is one whose beginning is lost.
     return is_private or (opcode != records.MESSAGE_INDEX and record_end(data, after, left) is not None)
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record stands.
+    """Return the first place in [start, end) where a record begins.
 
     `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
     few: another record must follow, and several if it is of none of the `channels`.
@@ -171,13 +163,13 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
 
 
 def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
-    """Say whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
+    """Return whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
     places = (match.start() for match in _CHUNK.finditer(data, start, end))
     return any(record_end(data, at, left - (at - start)) is not None for at in places)
 
 
 def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
-    """Say whether so many records follow, or fewer up to the end of the file."""
+    """Return whether this many records follow, or fewer up to the end of the file."""
     for _ in range(records_needed):
         if left == 0:
             return True
@@ -188,93 +180,55 @@ def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
     return True
 
 
-def _counted(data: Buffer, at: int) -> int:
-    """Return where a string, map or array that begins with its length ends."""
-    return at + _U32.size + int(_U32.unpack_from(data, at)[0])
+class _Counted(NamedTuple):
+    """A length-prefixed field. `unit`: the size of its entries; `most`: the largest credible length."""
+
+    length: struct.Struct
+    unit: int = 1
+    most: int = 2**64
 
 
-def _need_message(data: Buffer, at: int, length: int) -> int | None:
-    return max(length, _MESSAGE_BYTES)
-
-
-def _need_chunk(data: Buffer, at: int, length: int) -> int | None:
-    (name_length,) = _U32.unpack_from(data, at + CHUNK_FIXED.size - _U32.size)
-    if name_length > MAX_NAME:
-        return None
-    stored_at = at + CHUNK_FIXED.size + name_length
-    (stored,) = _U64.unpack_from(data, stored_at)
-    return int(stored_at + _U64.size + stored - at)
-
-
-def _need_schema(data: Buffer, at: int, length: int) -> int | None:
-    name_end = _counted(data, at + _U16.size)
-    return _counted(data, _counted(data, name_end)) - at
-
-
-def _need_channel(data: Buffer, at: int, length: int) -> int | None:
-    topic_end = _counted(data, at + 2 * _U16.size)
-    return _counted(data, _counted(data, topic_end)) - at
-
-
-def _need_message_index(data: Buffer, at: int, length: int) -> int | None:
-    end = _counted(data, at + _U16.size)
-    return None if (end - at - _U16.size - _U32.size) % 16 else end - at
-
-
-def _need_chunk_index(data: Buffer, at: int, length: int) -> int | None:
-    name_at = _counted(data, at + 4 * _U64.size) + _U64.size
-    return _counted(data, name_at) + 2 * _U64.size - at
-
-
-def _need_attachment(data: Buffer, at: int, length: int) -> int | None:
-    size_at = _counted(data, _counted(data, at + 2 * _U64.size))
-    size: int = _U64.unpack_from(data, size_at)[0]
-    return size_at + _U64.size + size + _U32.size - at
-
-
-def _need_attachment_index(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at + 5 * _U64.size)) - at
-
-
-def _need_statistics(data: Buffer, at: int, length: int) -> int | None:
-    end = _counted(data, at + records.STATISTICS_BODY.size)
-    return None if (end - at - records.STATISTICS_BODY.size - _U32.size) % 10 else end - at
-
-
-def _need_metadata(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at)) - at
-
-
-def _need_metadata_index(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, at + 2 * _U64.size) - at
-
-
-def _need_header(data: Buffer, at: int, length: int) -> int | None:
-    return _counted(data, _counted(data, at)) - at
-
-
-def _need_footer(data: Buffer, at: int, length: int) -> int | None:
-    end = at + records.FOOTER_BODY.size
-    return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
-
-
-_NEEDED: dict[int, Callable[[Buffer, int, int], int | None]] = {
-    records.HEADER: _need_header,
-    records.FOOTER: _need_footer,
-    records.SCHEMA: _need_schema,
-    records.CHANNEL: _need_channel,
-    records.MESSAGE: _need_message,
-    records.CHUNK: _need_chunk,
-    records.MESSAGE_INDEX: _need_message_index,
-    records.CHUNK_INDEX: _need_chunk_index,
-    records.ATTACHMENT: _need_attachment,
-    records.ATTACHMENT_INDEX: _need_attachment_index,
-    records.STATISTICS: _need_statistics,
-    records.METADATA: _need_metadata,
-    records.METADATA_INDEX: _need_metadata_index,
-    records.SUMMARY_OFFSET: lambda data, at, length: 1 + 2 * _U64.size,
-    records.DATA_END: lambda data, at, length: _U32.size,
+_STRING = _Counted(_U32)
+_LAYOUTS: dict[int, tuple[int | _Counted, ...]] = {
+    records.HEADER: (_STRING, _STRING),
+    records.SCHEMA: (2, _STRING, _STRING, _STRING),
+    records.CHANNEL: (4, _STRING, _STRING, _STRING),
+    records.CHUNK: (28, _Counted(_U32, most=MAX_NAME), _Counted(_U64)),
+    records.MESSAGE_INDEX: (2, _Counted(_U32, unit=16)),
+    records.CHUNK_INDEX: (32, _STRING, 8, _STRING, 16),
+    records.ATTACHMENT: (16, _STRING, _STRING, _Counted(_U64), 4),
+    records.ATTACHMENT_INDEX: (40, _STRING, _STRING),
+    records.STATISTICS: (records.STATISTICS_BODY.size, _Counted(_U32, unit=10)),
+    records.METADATA: (_STRING, _STRING),
+    records.METADATA_INDEX: (16, _STRING),
+    records.SUMMARY_OFFSET: (17,),
+    records.DATA_END: (4,),
 }
+"""Fields of each record: fixed bytes, or bytes that follow their length."""
+
+_OPCODES = frozenset((*_LAYOUTS, records.FOOTER, records.MESSAGE))
+
+
+def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | None:
+    """Return the length of a record body by the lengths inside it; None: they are invalid."""
+    if opcode == records.MESSAGE:
+        return max(length, _MESSAGE_BYTES)
+    if opcode == records.FOOTER:
+        end = body + records.FOOTER_BODY.size
+        return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
+    at = body
+    try:
+        for part in _LAYOUTS[opcode]:
+            if isinstance(part, int):
+                at += part
+                continue
+            size = int(part.length.unpack_from(data, at)[0])
+            if size % part.unit or size > part.most:
+                return None
+            at += part.length.size + size
+    except struct.error:
+        return None
+    return at - body
 
 
 _SEARCH_BYTES = 4 * 2**20
@@ -284,7 +238,7 @@ _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
 def pass_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
-    """Pass over at least one byte, up to the next place where a record of this file stands."""
+    """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
         width = _bring(stream)
@@ -305,7 +259,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
     """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end of the
-    file, whose last magic is its own.
+    file, which ends with its own magic.
     """
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
@@ -316,7 +270,7 @@ def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
 
 
 def _bring(stream: LookaheadStream) -> int:
-    """Bring bytes into the window; return how many of them a record or magic may begin in that is there as a whole."""
+    """Fill the window; return in how many of its bytes a whole record or magic may begin."""
     at_hand = stream.ahead(_SEARCH_BYTES)
     return at_hand if at_hand == stream.left else at_hand - LOOK
 
@@ -326,7 +280,7 @@ def _opens(match: re.Match[bytes]) -> bool:
 
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
-    """Pass over another file, which begins here, and over those in it."""
+    """Skip another MCAP, which begins here, and those inside it."""
     message = "another MCAP begins inside of this one; what stands in it is not counted"
     losses.note(Malformed(f"byte {stream.position}", message))
     depth = 1

@@ -101,7 +101,7 @@ class McapWriter:
         return channel_id
 
     def add_message(self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int) -> None:
-        """Add a message; messages stand in the file in the order in which they are added."""
+        """Add a message; messages are in the file in the order in which they are added."""
         chunk = self._chunk
         index = chunk.index.get(channel_id)
         if index is None:

@@ -1,4 +1,4 @@
-"""The index of a ROS 1 bag 2.0: connections, chunk infos, and on request the index data behind each chunk.
+"""The index of a ROS 1 bag 2.0: connections, chunk infos and, on request, index data.
 
 Reads no chunk and decompresses nothing: the index section, and with index data their bytes and 64 bytes a chunk.
 """

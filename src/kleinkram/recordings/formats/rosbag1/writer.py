@@ -82,7 +82,7 @@ class BagWriter:
         return number
 
     def add_message(self, connection: int, log_time_ns: int, payload: bytes) -> None:
-        """Add a message; messages stand in the file in the order in which they are added."""
+        """Add a message; messages are in the file in the order in which they are added."""
         chunk = self._chunk
         seconds, nanoseconds = divmod(log_time_ns, 1_000_000_000)
         index = chunk.index.get(connection)

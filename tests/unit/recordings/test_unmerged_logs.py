@@ -11,11 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from kleinkram.recordings import Content, FileSource
+from kleinkram.recordings import Content, FileSource, Recording
 from kleinkram.recordings.formats.rosbag2.database import find_unmerged_logs
 from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.summary import scan_with_logs
 from kleinkram.recordings.temporary_files import MIN_FREE_DISK_BYTES
 
@@ -37,7 +36,7 @@ def killed(tmp_path: Path) -> Path:
     return tmp_path / "killed" / "a.db3"
 
 
-def test_messages_that_are_only_in_the_log_are_read_and_told(killed: Path) -> None:
+def test_messages_that_are_only_in_the_log_are_read_and_reported(killed: Path) -> None:
     before = {path.name: path.read_bytes() for path in killed.parent.iterdir()}
     summary = scan_file(killed)
     assert (summary.content, summary.message_count) == (Content.recovered, 150)
@@ -64,9 +63,9 @@ def test_tables_that_are_all_in_the_log_are_found(tmp_path: Path) -> None:
             shutil.copy(tmp_path / f"first.db3{suffix}", tmp_path / "killed" / f"first.db3{suffix}")
     path = tmp_path / "killed" / "first.db3"
     for depth in Depth:
-        (found,) = inspect_paths([path.parent], depth=depth)
-        assert (found.summary.content, found.summary.message_count) == (Content.recovered, 20)
-        assert [each.code for each in found.summary.problems] == ["wal-not-merged"]
+        (actual,) = inspect_paths([path.parent], depth=depth)
+        assert (actual.summary.content, actual.summary.message_count) == (Content.recovered, 20)
+        assert [item.code for item in actual.summary.problems] == ["wal-not-merged"]
     with Recording.open(path) as recording:
         assert sum(1 for _ in recording.raw_messages()) == 20
 
@@ -86,7 +85,7 @@ def test_a_journal_is_rolled_back_in_a_copy(tmp_path: Path) -> None:
         database.execute("ROLLBACK")
     summary = scan_file(tmp_path / "killed" / "a.db3")
     assert (summary.content, summary.message_count) == (Content.recovered, 100)
-    assert [each.code for each in summary.problems] == ["journal-not-merged"]
+    assert [item.code for item in summary.problems] == ["journal-not-merged"]
 
 
 def test_a_journal_that_names_another_file_deletes_nothing(tmp_path: Path) -> None:
@@ -99,7 +98,7 @@ def test_a_journal_that_names_another_file_deletes_nothing(tmp_path: Path) -> No
     trailer = struct.pack(">I", 0x40000000 // 4096 + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
     path.with_name("a.db3-journal").write_bytes(magic + bytes(504) + trailer)
     summary = scan_file(path)
-    assert [each.code for each in summary.problems] == ["journal-not-merged", "log-not-read"]
+    assert [item.code for item in summary.problems] == ["journal-not-merged", "log-not-read"]
     with Recording.open(path) as recording:
         assert sum(1 for _ in recording.raw_messages()) == 5
     assert victim.read_text() == "precious"
@@ -118,10 +117,10 @@ def test_a_journal_that_spoils_the_copy_costs_no_messages(tmp_path: Path) -> Non
         for recording in recordings:
             with recording:
                 assert sum(1 for _ in recording.raw_messages()) == 100
-                assert {each.code for each in recording.problems} == {"journal-not-merged", "log-not-read"}
+                assert {item.code for item in recording.problems} == {"journal-not-merged", "log-not-read"}
     for summary in summaries:
         assert (summary.content, summary.message_count) == (Content.recovered, 100)
-        assert [each.code for each in summary.problems] == ["journal-not-merged", "log-not-read"]
+        assert [item.code for item in summary.problems] == ["journal-not-merged", "log-not-read"]
 
 
 def test_what_is_saved_of_a_database_while_it_is_read_leaves_no_temporary_file(
@@ -136,7 +135,7 @@ def test_what_is_saved_of_a_database_while_it_is_read_leaves_no_temporary_file(
     with Recording.open(path) as recording:
         assert list((tmp_path / "tmp").iterdir()) == []
         assert 0 < sum(1 for _ in recording.raw_messages()) < 100
-        assert "damaged" in {each.code for each in recording.problems}
+        assert "damaged" in {item.code for item in recording.problems}
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
@@ -148,15 +147,15 @@ def test_a_log_is_not_applied_where_the_disk_has_no_room_for_what_sqlite_makes_o
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     summary = scan_file(killed)
     assert (summary.content, summary.message_count) == (Content.recovered, 100)
-    assert [each.code for each in summary.problems] == ["wal-not-merged", "log-not-read"]
+    assert [item.code for item in summary.problems] == ["wal-not-merged", "log-not-read"]
 
 
-def test_a_log_that_was_merged_is_not_told(killed: Path) -> None:
+def test_a_merged_log_causes_no_problem(killed: Path) -> None:
     log = killed.with_name("a.db3-wal")
-    kept = log.read_bytes()
+    remaining = log.read_bytes()
     with closing(sqlite3.connect(killed)) as database:
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    log.write_bytes(kept)
+    log.write_bytes(remaining)
     assert find_unmerged_logs(killed) == []
     assert scan_file(killed).content is Content.indexed
 
@@ -168,7 +167,7 @@ def test_a_log_that_is_none(log: bytes, tmp_path: Path) -> None:
     assert find_unmerged_logs(path) == []
 
 
-def test_a_journal_that_was_not_rolled_back_is_told(tmp_path: Path) -> None:
+def test_a_journal_that_was_not_rolled_back_is_reported(tmp_path: Path) -> None:
     path = make_database(tmp_path / "a.db3", messages=steady(5))
     journal = path.with_name("a.db3-journal")
     journal.write_bytes(bytes(512))

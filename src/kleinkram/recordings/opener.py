@@ -1,4 +1,4 @@
-"""From what a person has (a file, a folder, sources) to the opened files of one recording."""
+"""Opens the files of one recording from a path, a folder or sources."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.formats.base import OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
 from kleinkram.recordings.formats.documents import UNKNOWN
 from kleinkram.recordings.formats.registry import format_of
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
@@ -23,22 +23,21 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
     compare_names,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.grouping import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
-from kleinkram.recordings.member import ChunkedMember, Member
 from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.recording_groups import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
 
 @runtime_checkable
 class HasSources(Protocol):
-    """Something that stands for the files of one recording, such as a file on a server."""
+    """Something with the files of one recording, such as a file on a server."""
 
     def sources(self) -> Sequence[Source]:
         """Return the files in the order of recording, a metadata.yaml among them where there is one."""
 
     def close(self) -> None:
-        """Give up what the sources need; called once, when the recording is closed."""
+        """Release the sources; called once, when the recording is closed."""
 
 
 MAX_SCANNED_FOR_PROBLEMS = 64 * 2**20
@@ -50,7 +49,7 @@ Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 @dataclass(frozen=True)
 class Opened:
-    """The files of a recording.
+    """The opened files of a recording.
 
     Attributes:
         files: names of the data files, in the order of recording.
@@ -98,7 +97,7 @@ def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | N
 
 
 def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
-    """Return what is in a file. Where its index is wrong, the member does not believe it any more."""
+    """Return the summary of a file, and note if its index is wrong."""
     summary = member.summary or _summarise(file)
     if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
         member.doubt_index()
@@ -106,7 +105,7 @@ def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
 
 
 def _summarise(file: RecordingFile) -> RecordingSummary:
-    """Say what is in a file as `klein inspect` does. What was copied to open the file is not fetched again.
+    """Summarise a file as `klein inspect` does, without fetching copies again.
 
     Raises:
         SourceError: the bytes cannot be read.
@@ -181,7 +180,7 @@ def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
 
 
 def _metadata_of(files: Iterable[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
-    """Read the metadata.yaml among the files, and compare it with what is there."""
+    """Read the metadata.yaml among the files, and compare its file names."""
     names = {file.base_name for file in files}
     for file in files:
         if file.base_name != METADATA_NAME:

@@ -1,10 +1,10 @@
-"""Which files make one recording, by their names, and by what a metadata.yaml says where that is known.
+"""Groups files into recordings, by their names and by metadata.yaml.
 
 * rosbag2: a folder with metadata.yaml and data files (.mcap, .db3, also .zstd) of one stem, such as `run_0.mcap`,
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
   A metadata.yaml that is known to say something else counts as none.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
-  recordings). A time at the end of a name is no such number: `run_2026_01_17-10_00_00.mcap` stands by itself.
+  recordings). A time at the end of a name is no such number: `run_2026_01_17-10_00_00.mcap` is by itself.
 * split, with the time of each file in its name: `0_name_2026_01_17-10_00_30.mcap`, `1_name_2026_01_17-10_01_30.mcap`
   ... of rosbag2 since Kilted, and for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
   `prefix_2024-05-01-10-05-00_1.bag` ...; a smaller number begins the next recording.
@@ -50,7 +50,7 @@ _TIME_AT_END = re.compile(
 
 
 class RecordingGroupKind(str, Enum):
-    """What holds the files of a recording together."""
+    """What makes files one recording."""
 
     single = "single"
     split_set = "split"
@@ -59,7 +59,7 @@ class RecordingGroupKind(str, Enum):
 
 @dataclass(frozen=True)
 class RecordingGroup:
-    """The files of one recording. Name and kind together are unique among the groups of some paths.
+    """The files of one recording. Name and kind together are unique.
 
     Attributes:
         name: the path of a single file; the path of a rosbag2 folder ("." for the top); the common path of a split
@@ -75,12 +75,12 @@ class RecordingGroup:
 
 
 def is_recording_name(path: str) -> bool:
-    """Say whether a file's name is that of a recording's data file."""
+    """Return whether a file has the name of a recording."""
     return _RECORDING.fullmatch(path) is not None
 
 
 def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = None) -> list[RecordingGroup]:
-    """Group relative POSIX paths into recordings, sorted by name. Paths that are none belong to no group.
+    """Group relative POSIX paths into recordings, sorted by name. Other paths belong to no group.
 
     `stated`: what the metadata.yaml of each path among `paths` says, where it could be read.
     """
@@ -112,7 +112,7 @@ def _group_folder(
 
 
 class _DataFile(NamedTuple):
-    """A data file of rosbag2, and what its name says.
+    """A rosbag2 data file, with the parts of its name.
 
     Attributes:
         stem: path without number, time and suffix: that of all files of one recording.
@@ -128,7 +128,7 @@ class _DataFile(NamedTuple):
 
 
 def _parse_name(path: str) -> _DataFile | None:
-    """Read the name of a rosbag2 data file; None where it is none."""
+    """Parse the name of a rosbag2 data file; None if it is none."""
     if timed := _TIMED_ROSBAG2.fullmatch(path):
         return _DataFile(path, timed["folder"] + timed["name"], int(timed["number"]), timed["time"], timed["suffix"])
     plain = _ROSBAG2.fullmatch(path)
@@ -144,7 +144,7 @@ def _ends_in_time(name: str) -> bool:
 
 
 def _members(folder: str, paths: list[str], metadata: Rosbag2Metadata | None) -> list[str]:
-    """Return the files that the metadata.yaml of a folder is about."""
+    """Return the data files of a folder's metadata.yaml."""
     by_stem: dict[str, list[_DataFile]] = defaultdict(list)
     for path in paths:
         if (file := _parse_name(path)) is not None:
@@ -166,7 +166,7 @@ def _in_order(files: Iterable[_DataFile]) -> list[_DataFile]:
 
 
 def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
-    """Return the stem whose files are those that the folder's metadata.yaml is about."""
+    """Return the stem of the data files of the folder's metadata.yaml."""
     if len(stems) == 1:
         return next(iter(stems))
     named_alike = f"{folder}/{PurePosixPath(folder).name}"
@@ -215,7 +215,7 @@ def _group_bags(paths: list[str]) -> list[RecordingGroup]:
 
 
 def _group_timed(sets: Iterable[list[_Timed]]) -> list[RecordingGroup]:
-    """Cut the files of each set, in the order of their times, where the number does not grow."""
+    """Split the files of each set, by time, where the number does not grow."""
     recordings: list[list[str]] = []
     for files in sets:
         previous: int | None = None
@@ -236,7 +236,7 @@ def _single(path: str) -> RecordingGroup:
 
 @dataclass(frozen=True)
 class UnreadableFolder:
-    """A folder below the one that was read, and why its files are not known."""
+    """A folder that cannot be listed, and why."""
 
     path: Path
     reason: str
@@ -244,7 +244,7 @@ class UnreadableFolder:
 
 @dataclass(frozen=True)
 class FolderRecordings:
-    """The recordings in a folder and below it; paths in it are relative to the folder.
+    """The recordings in a folder and below it; paths are relative to the folder.
 
     Attributes:
         groups: the files of each recording.
@@ -261,7 +261,7 @@ class FolderRecordings:
     unreadable_folders: tuple[UnreadableFolder, ...]
 
     def metadata_of(self, recording: RecordingGroup) -> Rosbag2Metadata | None:
-        """Return what the metadata.yaml of a recording says; None where it has none, or a damaged one."""
+        """Return the metadata of a recording; None if it has none, or a damaged one."""
         return self.metadata.get(recording.metadata_path or "")
 
 
@@ -300,7 +300,7 @@ def _why_no_file(path: Path) -> str | None:
 
 
 def recording_of_metadata(path: Path) -> tuple[FolderRecordings, RecordingGroup] | None:
-    """Find the recording that a metadata.yaml is about, among the files beside it; None where it is about none.
+    """Return the recording of a metadata.yaml; None if it belongs to none.
 
     Raises:
         SourceError: it cannot be read.

@@ -1,7 +1,7 @@
-"""`Recording`: the messages of one recording, in the order of their log times, wherever its files are.
+"""`Recording`: the messages of one recording, by log time, wherever its files are.
 
 Memory stays below about 200 MB whatever the size of the files. A recording may be read as often as one likes; each
-iteration stands by itself. Not to be shared between threads.
+iteration is by itself. Not to be shared between threads.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoded_messages import DecodeProblemLogger, decode_blocks, decoder_of, list_topics, timed
 from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
-from kleinkram.recordings.member import Member
+from kleinkram.recordings.formats.base import Member
 from kleinkram.recordings.merge import TooDisordered, merge
 from kleinkram.recordings.messages import (
     END_OF_TIME_NS,
@@ -36,7 +36,7 @@ from kleinkram.recordings.messages import (
     to_ns,
 )
 from kleinkram.recordings.model import Problem
-from kleinkram.recordings.open_recording import Openable, Opened, open_members
+from kleinkram.recordings.opener import Openable, Opened, open_members
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,7 +86,7 @@ class Recording:
 
     @classmethod
     def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
-        """Open a recording: a file, a rosbag2 folder or its metadata.yaml, a source, several, or what has `sources()`.
+        """Open a file, a rosbag2 folder or its metadata.yaml, one or several sources, or an object with `sources()`.
 
         Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
         what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
@@ -111,7 +111,7 @@ class Recording:
         return recording
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle what was opened, not its content: where it is unpickled, it is opened anew.
+        """Pickle the path or sources; unpickling opens them again.
 
         Raises:
             TypeError: it was not made by `open`.
@@ -129,19 +129,19 @@ class Recording:
 
     @property
     def start_ns(self) -> int | None:
-        """Earliest log time as the files say, inclusive; None without messages."""
+        """Earliest log time by the index, inclusive; None without messages."""
         starts = (member.contents.start_ns for member in self._members)
         return min((start_ns for start_ns in starts if start_ns is not None), default=None)
 
     @property
     def end_ns(self) -> int | None:
-        """Latest log time as the files say, inclusive; None without messages."""
+        """Latest log time by the index, inclusive; None without messages."""
         ends = (member.contents.end_ns for member in self._members)
         return max((end_ns for end_ns in ends if end_ns is not None), default=None)
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What is wrong with the recording: all that `klein inspect` names, and what was met while messages were read.
+        """All problems that `klein inspect` reports, and those met while messages were read.
 
         The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP,
         index data of a bag, all rows of a database. Once closed, a recording that was not opened by path names only
@@ -300,7 +300,7 @@ class Recording:
         return blocks
 
     def _uncompressed(self, block: Block) -> Block:
-        """Undo what rosbag2 did to each message; one that is damaged is left out, and named."""
+        """Decompress single messages; a damaged one is left out and reported."""
         return [unpacked for message in block if (unpacked := self._unpack(message)) is not None]
 
     def _unpack(self, message: RawMessage) -> RawMessage | None:

@@ -25,10 +25,10 @@ SECOND = 1_000_000_000
 def problems(topics: dict[str, list[int]], *, published: int = 0) -> list[tuple[str, str]]:
     """Return code and place of the problems of a recording with these stamps (seconds); scan and summary agree."""
     data = recording(topics, published=published)
-    found = scan(source_reader(MemorySource(data))).problems
+    actual = scan(source_reader(MemorySource(data))).problems
     if not published:
-        assert summarise(MemorySource(data)).problems == found
-    return [(problem.code, problem.where) for problem in found]
+        assert summarise(MemorySource(data)).problems == actual
+    return [(problem.code, problem.where) for problem in actual]
 
 
 def recording(topics: dict[str, list[int]], *, published: int) -> bytes:
@@ -67,7 +67,7 @@ def stamped(stamps: list[int]) -> MemorySource:
 
 
 @pytest.mark.parametrize(
-    ("stamps", "told"),
+    ("stamps", "named"),
     [
         pytest.param(
             [*range(100), *range(-3500, -3400), *range(200, 300)],
@@ -80,13 +80,13 @@ def stamped(stamps: list[int]) -> MemorySource:
         pytest.param([*range(100), *range(85, 185)], "log times jump back by 14.0 s", id="little"),
     ],
 )
-def test_a_clock_that_was_set_back(stamps: list[int], told: str) -> None:
+def test_a_clock_that_was_set_back(stamps: list[int], named: str) -> None:
     source = stamped(stamps)
-    found = summarise(source).problems
-    assert scan(source_reader(source)).problems == found
-    (problem,) = found
+    actual = summarise(source).problems
+    assert scan(source_reader(source)).problems == actual
+    (problem,) = actual
     assert (problem.code, problem.where) == ("clock-jump", "2 topics")
-    assert told in problem.message
+    assert named in problem.message
     both = combine([summarise(source), summarise(stamped(list(range(5000, 5100))))])
     assert [problem.code for problem in both.problems] == ["clock-jump"]
 
@@ -130,7 +130,7 @@ def test_log_times_far_from_publish_times() -> None:
     )
 
 
-def test_long_spans_are_told_in_days_and_years() -> None:
+def test_long_spans_are_shown_in_days_and_years() -> None:
     assert [span_text(seconds * SECOND) for seconds in (0, 3660, -200 * 3600, 12 * 365 * 86_400)] == [
         "0.0 s",
         "3660.0 s",
@@ -183,8 +183,8 @@ def test_doubled_channels(make: Callable[..., bytes], name: str) -> None:
         assert summary.message_count == len(publishers)
         return [one.where + ": " + one.message for one in summary.problems if one.code == "doubled-channel"]
 
-    (told,) = doubled((b"a/B", b"/node"), (b"a/B", b"/node"), (b"a/B", b"/other"))
-    assert told.startswith("/t: /node has 2 channels")
+    (named,) = doubled((b"a/B", b"/node"), (b"a/B", b"/node"), (b"a/B", b"/other"))
+    assert named.startswith("/t: /node has 2 channels")
     assert doubled((b"a/B", b"/node"), (b"a/B", b"/other")) == []
     assert doubled((b"a/B", b"/node"), (b"a/C", b"/node")) == []
     assert doubled((b"a/B", b""), (b"a/B", b"")) == []

@@ -8,15 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import FileSource, RecordingSummary, summarise
+from kleinkram.recordings import FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
 from .memory_source import MemorySource
-from .reading.making import T0, bag_of, mcap_of
+from .reading.builders import T0, bag_of, mcap_of
 
 CHUNKS = 6
 PER_CHUNK = 4
@@ -50,9 +49,9 @@ def change_mcap(opcode: int, change: Change) -> bytes:
     footer_at = len(data) - records.FOOTER_BYTES + records.RECORD_HEAD.size
     summary_start, _, _ = records.FOOTER_BODY.unpack_from(data, footer_at)
     struct.pack_into("<I", data, footer_at + 16, 0)
-    found = [place for place in mcap_records(data, summary_start, footer_at - 9) if place[0] == opcode]
-    assert found
-    for number, (_, at, length) in enumerate(found):
+    actual = [place for place in mcap_records(data, summary_start, footer_at - 9) if place[0] == opcode]
+    assert actual
+    for number, (_, at, length) in enumerate(actual):
         body = data[at : at + length]
         change(number, body)
         assert len(body) == length
@@ -154,13 +153,13 @@ def test_every_span_and_topic_is_complete_though_the_index_is_wrong(
     for first in range(0, CHUNKS * PER_CHUNK, 3):
         with source(path) as opened, Recording.open(opened) as recording:
             start, end = T0 + first * S, T0 + (first + 5) * S
-            found = [(m.topic, m.log_time_ns) for m in recording.raw_messages(start=start, end=end)]
-            assert found == [message for message in every if start <= message[1] < end]
+            actual = [(m.topic, m.log_time_ns) for m in recording.raw_messages(start=start, end=end)]
+            assert actual == [message for message in every if start <= message[1] < end]
     with source(path) as opened, Recording.open(opened) as recording:
         if source is ParallelSource and name in NOT_SEEN_FROM_AFAR:
             assert recording.problems
-        found = [(m.topic, m.log_time_ns) for m in recording.raw_messages("/b")]
-        assert found == [message for message in every if message[0] == "/b"]
+        actual = [(m.topic, m.log_time_ns) for m in recording.raw_messages("/b")]
+        assert actual == [message for message in every if message[0] == "/b"]
         assert "index-damaged" in {problem.code for problem in recording.problems}
         assert (recording.start_ns, recording.end_ns) == (every[0][1], every[-1][1])
 
@@ -184,11 +183,11 @@ def test_every_reader_of_a_file_finds_all_once_one_of_them_has_seen_that_the_ind
     path.write_bytes(change_mcap(records.CHUNK_INDEX, chunk_two_at_the_end))
     with ParallelSource(path) as source, Recording.open(source) as recording:
         first = recording.raw_messages(end=T0 + 3 * PER_CHUNK * S)
-        found = [next(first).log_time_ns]
+        actual = [next(first).log_time_ns]
         assert "index-damaged" in {problem.code for problem in recording.problems}
         assert sum(1 for _ in recording.raw_messages()) == CHUNKS * PER_CHUNK
-        found += [m.log_time_ns for m in first]
-    assert found == [T0 + n * S for n in range(3 * PER_CHUNK)]
+        actual += [m.log_time_ns for m in first]
+    assert actual == [T0 + n * S for n in range(3 * PER_CHUNK)]
 
 
 def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_compared(tmp_path: Path) -> None:
@@ -202,8 +201,8 @@ def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_com
     path.write_bytes(change_mcap(records.CHUNK_INDEX, moved))
     with ParallelSource(path) as source, Recording.open(source) as recording:
         start = T0 + PER_CHUNK * S
-        found = [m.log_time_ns for m in recording.raw_messages(start=start, end=start + 2 * PER_CHUNK * S)]
-        assert found == [start + number * S for number in range(2 * PER_CHUNK)]
+        actual = [m.log_time_ns for m in recording.raw_messages(start=start, end=start + 2 * PER_CHUNK * S)]
+        assert actual == [start + number * S for number in range(2 * PER_CHUNK)]
 
 
 @NEAR_AND_FAR

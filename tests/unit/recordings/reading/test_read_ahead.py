@@ -22,12 +22,12 @@ class _Slow:
     parallel_reads = 2
 
     def __init__(self) -> None:
-        self.asked = threading.Event()
+        self.requested = threading.Event()
         self.let = threading.Event()
 
     def read(self, offset: int, length: int) -> bytes:
         if offset:
-            self.asked.set()
+            self.requested.set()
             assert self.let.wait(_S)
         return bytes(length)
 
@@ -50,7 +50,7 @@ def test_closing_waits_for_no_thread(begin: Callable[[_Slow], Iterator[bytes]]) 
     next(reading)
     if begin is _jobs:
         next(reading)
-    assert source.asked.wait(_S)
+    assert source.requested.wait(_S)
 
     closing = threading.Thread(target=reading.close, daemon=True)
     closing.start()
