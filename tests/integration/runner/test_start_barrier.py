@@ -13,7 +13,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import Job, PortForward
+from kleinkram.runner.executors.base import PortForward, RunJob
 from kleinkram.runner.executors.docker_client import DockerClient
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
@@ -30,15 +30,15 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 @contextmanager
-def behind_barrier(bench: Bench, job: Job) -> Iterator[tuple[DockerClient, str]]:
+def behind_barrier(bench: Bench, job: RunJob) -> Iterator[tuple[DockerClient, str]]:
     """Start the container of a job without its executor, and yield its engine and its name."""
     assert bench.engine is not None
     assert job.image is not None
     client, name = bench.engine.engine, docker_container.container_name(job)
     image = client.find_image(job.image)
     assert image is not None
-    for each in ("out", "tmp"):
-        (job.directory / each).mkdir()
+    for entry in ("out", "tmp"):
+        (job.directory / entry).mkdir()
     described = docker_container.describe(job, user="1000:1000", volumes=[], labels={docker_container.JOB_LABEL: "x"})
     client.create(name, docker_container.with_barrier(described, job, image))
     try:

@@ -10,7 +10,7 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors import docker
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker import ContainerLog
 from kleinkram.runner.executors.docker_client import ContainerInfo, DockerClient
 from kleinkram.runner.executors.docker_container import LOG_LABEL
@@ -30,7 +30,7 @@ class StoredOutput(DockerClient):
 
 def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
     """Copy the log of a container that has exited."""
-    log = ContainerLog(StoredOutput(pieces), Job("a-job", directory, [], None, Resources(), Network.none))
+    log = ContainerLog(StoredOutput(pieces), RunJob("a-job", directory, [], None, Resources(), Network.none))
     log.follow(ContainerInfo("one", "exited", 0, 0, was_out_of_memory=False, labels={LOG_LABEL: str(offset)}))
     log.finish()
     until = time.monotonic() + 20

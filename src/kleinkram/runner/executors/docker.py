@@ -21,7 +21,7 @@ from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason, Usage
 from kleinkram.runner.executors import docker_container as containers
 from kleinkram.runner.executors import port_forward
-from kleinkram.runner.executors.base import CannotStart, Ending, Job, PinnedImage
+from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker_client import (
     UNSEEN_EXIT,
     ContainerInfo,
@@ -106,7 +106,7 @@ class DockerExecutor(LocalExecutor):
         """Pull an image where that is needed and allowed."""
         return self._images.prepare(image)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RunJob) -> None:
         """Create and start the container of a job, whose image must be present."""
         if job.image is None:
             raise cannot_start("A container needs an image, and the action names none.")
@@ -132,7 +132,7 @@ class DockerExecutor(LocalExecutor):
         except (EngineUnavailable, EngineError, OSError) as error:
             raise CannotStart(_start_failure(error)) from error
 
-    def _start(self, job: Job, image: ImageInfo, user: str) -> None:
+    def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
         name, log = containers.container_name(job), job.directory / LOG
         labels = {
             containers.JOB_LABEL: job.key,
@@ -153,19 +153,19 @@ class DockerExecutor(LocalExecutor):
         self._forget(job)
         self._monitor(job, is_reattached=False).poll()
 
-    def poll(self, job: Job) -> Ending | None:
+    def poll(self, job: RunJob) -> Ending | None:
         """Look at the container of a job, and enforce its limits."""
         return self._monitor(job).poll()
 
-    def cancel(self, job: Job) -> None:
+    def cancel(self, job: RunJob) -> None:
         """Send SIGTERM to a container, and SIGKILL later."""
         self._monitor(job).stop(CANCELLED)
 
-    def usage(self, job: Job) -> Usage | None:
+    def usage(self, job: RunJob) -> Usage | None:
         """Return the last usage that `poll` measured."""
         return self._monitor(job).usage
 
-    def remove(self, job: Job) -> None:
+    def remove(self, job: RunJob) -> None:
         """Kill and remove a container; one that the engine does not remove is left for `remove_others`."""
         self._forget(job)
         (job.directory / _STOP_REASON).unlink(missing_ok=True)
@@ -187,13 +187,13 @@ class DockerExecutor(LocalExecutor):
         except EngineError as error:
             _log.warning("the container %s was not removed: %s", name, error)
 
-    def _monitor(self, job: Job, *, is_reattached: bool = True) -> "ContainerMonitor":
+    def _monitor(self, job: RunJob, *, is_reattached: bool = True) -> "ContainerMonitor":
         with self._lock:
             if job.key not in self._monitors:
                 self._monitors[job.key] = ContainerMonitor(self._client, job, is_reattached=is_reattached)
             return self._monitors[job.key]
 
-    def _forget(self, job: Job) -> None:
+    def _forget(self, job: RunJob) -> None:
         with self._lock:
             monitor = self._monitors.pop(job.key, None)
         if monitor is not None:
@@ -206,7 +206,7 @@ class DockerExecutor(LocalExecutor):
 class ContainerMonitor:
     """Watches one container: its log, limits, port forwards and end. `is_reattached`: an earlier runner started it."""
 
-    def __init__(self, client: DockerClient, job: Job, *, is_reattached: bool) -> None:
+    def __init__(self, client: DockerClient, job: RunJob, *, is_reattached: bool) -> None:
         self._client = client
         self._job = job
         self._name = containers.container_name(job)
@@ -399,7 +399,7 @@ class ContainerLog:
     it ends: nothing is missing or there twice.
     """
 
-    def __init__(self, client: DockerClient, job: Job) -> None:
+    def __init__(self, client: DockerClient, job: RunJob) -> None:
         self._client = client
         self._name = containers.container_name(job)
         self._path = job.directory / LOG

@@ -22,7 +22,7 @@ from kleinkram.server.auth.codes import CodeWanted, find_code, make_code, use_co
 from kleinkram.server.auth.passwords import Passwords, refuse_obvious
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.runners.scheduling import has_single_person, invitation_warning, known_runners
+from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.signing_in import CodePurpose
