@@ -57,7 +57,7 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("output", "error"),
     [
         ("[FATAL tini (7)] exec /usr/bin/odd failed: No such file or directory\n", "/usr/bin/odd: No such file"),
         ("ERROR (catatonit:2): failed to exec pid1: Permission denied\n", "/usr/bin/odd: Permission denied"),
@@ -69,9 +69,9 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
         ("", None),
     ],
 )
-def test_what_first_processes_say_of_a_command_that_is_not_there(values: str, reported: str | None) -> None:
-    result = execution_error(values, ["/usr/bin/odd", "-v"], 127)
-    assert result is None if reported is None else str(result).startswith(reported)
+def test_what_first_processes_say_of_a_command_that_is_not_there(output: str, error: str | None) -> None:
+    result = execution_error(output, ["/usr/bin/odd", "-v"], 127)
+    assert result is None if error is None else str(result).startswith(error)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> Non
     assert docker_container.cgroup_usage({"": "/gone"}, tmp_path) is None
 
 
-@pytest.mark.parametrize(("ended", "is_told"), [(0, False), (2, True)])
+@pytest.mark.parametrize(("ended", "is_reported"), [(0, False), (2, True)])
 def test_ended_for_memory_is_read_of_both_versions_of_control_groups(
     tmp_path: Path, ended: int, *, is_reported: bool
 ) -> None:

@@ -39,7 +39,9 @@ def behind_barrier(bench: Bench, job: RunJob) -> Iterator[tuple[DockerClient, st
     assert image is not None
     for entry in ("out", "tmp"):
         (job.directory / entry).mkdir()
-    described = docker_container.describe(job, user="1000:1000", volumes=[], labels={docker_container.JOB_LABEL: "x"})
+    described = docker_container.describe(
+        job, user="1000:1000", volumes=[], labels={}, is_podman=client.info().is_podman
+    )
     client.create(name, docker_container.with_barrier(described, job, image))
     try:
         client.start(name)
@@ -54,14 +56,14 @@ def log_after_end(client: DockerClient, name: str) -> bytes:
     while (container := client.find_container(name)) is None or container.status != "exited":
         assert time.monotonic() < until
         time.sleep(0.05)
-    return b"".join(client.log(name, follow=False))
+    return b"".join(piece.data for pieces in client.log(name, follow=False) for piece in pieces)
 
 
 def test_the_command_starts_unchanged_once_the_barrier_is_open(bench: Bench) -> None:
     job = bench.job("import sys; print(sys.argv, sys.stdin.read())", network=Network.api, port_forwards=PORT_FORWARDS)
     with behind_barrier(bench, job) as (client, name):
         time.sleep(1)
-        assert b"".join(client.log(name, follow=False)) == b""
+        assert b"".join(piece.data for pieces in client.log(name, follow=False) for piece in pieces) == b""
         descriptor = docker_container.open_barrier(job.directory)
         assert log_after_end(client, name) == b"['-c'] \n"
         assert descriptor is not None

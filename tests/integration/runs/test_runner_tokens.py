@@ -91,7 +91,7 @@ def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place:
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    "expected",
     [
         {"kind": "runner", "mission_ids": [str(uuid.uuid4())]},
         {"kind": "runner", "scopes": ["read"]},

@@ -84,7 +84,7 @@ def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_ru
 
 
 @pytest.mark.parametrize(
-    ("wanted", "why"),
+    ("expected", "why"),
     [
         ({"resources": {"cores": 64}}, "it has 4 cores and 64 are asked for"),
         ({"resources": {"gpus": 1}}, "it gives no GPUs"),

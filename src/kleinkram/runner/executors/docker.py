@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Collection, Sequence
 from http import HTTPStatus
+from itertools import groupby
 from pathlib import Path
 
 from kleinkram.contract.actions import Network
@@ -49,6 +50,7 @@ from kleinkram.runner.files import write_all, write_atomically
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
+_LOG_CURSOR = "log.cursor"
 _GAP = b"\n[kleinkram] lines may be missing here: the engine did not keep all of the output\n"
 _FIRST_OUTPUT_BYTES = 2**12
 _RETRY_EVERY_S = 0.2
@@ -134,6 +136,7 @@ class DockerExecutor(LocalExecutor):
 
     def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
         name, log = containers.container_name(job), job.directory / LOG
+        (job.directory / _LOG_CURSOR).unlink(missing_ok=True)
         labels = {
             containers.JOB_LABEL: job.key,
             containers.RUNNER_LABEL: self._runner,
@@ -395,18 +398,22 @@ class ContainerMonitor:
 class ContainerLog:
     """Copies the output of a container to the log of its job, in a thread.
 
-    The engine stores the output as well, and the copy is a prefix of it. So a copy that was interrupted goes on where
-    it ends: nothing is missing or there twice.
+    The engine stores the output as well. A copy that was interrupted goes on after as many bytes of each stream as it
+    has (the order of the two streams may change between reads): nothing is missing or there twice. These numbers are
+    written before each append, so that an append that was cut short counts, too.
     """
 
     def __init__(self, client: DockerClient, job: RunJob) -> None:
         self._client = client
         self._name = containers.container_name(job)
         self._path = job.directory / LOG
+        self._cursor_path = job.directory / _LOG_CURSOR
         self._thread: threading.Thread | None = None
         self._is_closed = threading.Event()
         self._has_exited = threading.Event()
         self._offset = 0
+        self._cursor = -1
+        self._copied = {1: 0, 2: 0}
         self.is_complete = False
         self.has_space = True
 
@@ -435,6 +442,8 @@ class ContainerLog:
 
     def _copy(self) -> None:
         log = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+        self._cursor = os.open(self._cursor_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        self._copied = self._read_cursor(log)
         try:
             while not self._is_closed.is_set():
                 had_exited = self._has_exited.is_set()
@@ -451,38 +460,57 @@ class ContainerLog:
             self.has_space = False
         finally:
             os.close(log)
+            os.close(self._cursor)
             self.is_complete = True
 
     def _copy_missing(self, log: int, *, follow: bool) -> bool:
         """Append what is missing of the stored output; return whether that came to its end."""
-        skip = os.fstat(log).st_size - self._offset
+        skip = dict(self._copied)
         since_ns = 0
-        if skip > 0 and not self._begins_alike(log):
-            since_ns, skip = os.fstat(log).st_mtime_ns, 0
+        if any(skip.values()) and not self._begins_alike(log):
+            since_ns, skip = os.fstat(log).st_mtime_ns, {1: 0, 2: 0}
             write_all(log, _GAP)
-        for data in self._client.log(self._name, follow=follow, since_ns=since_ns):
-            new = data[skip:]
-            skip = max(0, skip - len(data))
-            if new and not self._append(log, new):
-                return True
+        for pieces in self._client.log(self._name, follow=follow, since_ns=since_ns):
+            for stream, same in groupby(pieces, key=lambda piece: piece.stream):
+                data = b"".join(piece.data for piece in same)
+                known = min(skip[stream], len(data))
+                skip[stream] -= known
+                if known < len(data) and not self._append(log, stream, data[known:]):
+                    return True
             if self._is_closed.is_set():
                 return True
         return True
 
     def _begins_alike(self, log: int) -> bool:
         """Whether the engine still stores the beginning of the output, which it drops of a very long one."""
-        first = next(iter(self._client.log(self._name, follow=False)), b"")[:_FIRST_OUTPUT_BYTES]
-        known = os.pread(log, len(first), self._offset)
-        return first[: len(known)] == known
+        pieces = next(iter(self._client.log(self._name, follow=False)), [])
+        if not pieces:
+            return True
+        first = pieces[0].data[: self._copied[pieces[0].stream]]
+        return first in os.pread(log, _FIRST_OUTPUT_BYTES + len(first), self._offset)
 
-    def _append(self, log: int, data: bytes) -> bool:
+    def _append(self, log: int, stream: int, data: bytes) -> bool:
         """Append data up to the limit; return whether more is wanted."""
         size = os.fstat(log).st_size
-        write_all(log, data[: LOG_BYTES - size])
+        data = data[: LOG_BYTES - size]
+        cursor = {"size": size, "copied": [self._copied[1], self._copied[2]], "next": stream}
+        # A single write of constant length is atomic.
+        os.pwrite(self._cursor, json.dumps(cursor).ljust(120).encode(), 0)
+        write_all(log, data)
+        self._copied[stream] += len(data)
         if size + len(data) < LOG_BYTES:
             return True
         write_all(log, LOG_IS_FULL)
         return False
+
+    def _read_cursor(self, log: int) -> dict[int, int]:
+        text = os.pread(self._cursor, 4096, 0)
+        if not text:
+            return {1: 0, 2: 0}
+        cursor = json.loads(text)
+        copied = {1: cursor["copied"][0], 2: cursor["copied"][1]}
+        copied[cursor["next"]] += os.fstat(log).st_size - cursor["size"]
+        return copied
 
     def _is_full(self, log: int) -> bool:
         return os.fstat(log).st_size >= LOG_BYTES
