@@ -107,7 +107,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     if summary_start == 0:
         raise NotIndexed("no-summary", "the file has no summary section", is_problem=False)
     if not len(records.MAGIC) < summary_start <= footer_start:
-        raise Malformed(f"byte {footer_start}", f"the summary is said to begin at byte {summary_start}")
+        raise Malformed(f"byte {footer_start}", f"the footer places the summary at byte {summary_start}")
     if summary_start >= tail_start:
         stream = open_bytes(tail[summary_start - tail_start : footer_at], summary_start)
     else:

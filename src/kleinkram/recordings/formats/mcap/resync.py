@@ -83,7 +83,7 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
         needed < length
         and record_end(data, at + RECORD_HEAD.size + needed, left - RECORD_HEAD.size - needed) is not None
     ):
-        return "a record that is said to be so long that it holds the next one, too"
+        return "a record whose length includes the next record"
     return None
 
 
@@ -180,7 +180,7 @@ def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
     return True
 
 
-class _Counted(NamedTuple):
+class _LengthPrefixed(NamedTuple):
     """A length-prefixed field. `unit`: the size of its entries; `most`: the largest credible length."""
 
     length: struct.Struct
@@ -188,17 +188,17 @@ class _Counted(NamedTuple):
     most: int = 2**64
 
 
-_STRING = _Counted(_U32)
-_LAYOUTS: dict[int, tuple[int | _Counted, ...]] = {
+_STRING = _LengthPrefixed(_U32)
+_LAYOUTS: dict[int, tuple[int | _LengthPrefixed, ...]] = {
     records.HEADER: (_STRING, _STRING),
     records.SCHEMA: (2, _STRING, _STRING, _STRING),
     records.CHANNEL: (4, _STRING, _STRING, _STRING),
-    records.CHUNK: (28, _Counted(_U32, most=MAX_NAME), _Counted(_U64)),
-    records.MESSAGE_INDEX: (2, _Counted(_U32, unit=16)),
+    records.CHUNK: (28, _LengthPrefixed(_U32, most=MAX_NAME), _LengthPrefixed(_U64)),
+    records.MESSAGE_INDEX: (2, _LengthPrefixed(_U32, unit=16)),
     records.CHUNK_INDEX: (32, _STRING, 8, _STRING, 16),
-    records.ATTACHMENT: (16, _STRING, _STRING, _Counted(_U64), 4),
+    records.ATTACHMENT: (16, _STRING, _STRING, _LengthPrefixed(_U64), 4),
     records.ATTACHMENT_INDEX: (40, _STRING, _STRING),
-    records.STATISTICS: (records.STATISTICS_BODY.size, _Counted(_U32, unit=10)),
+    records.STATISTICS: (records.STATISTICS_BODY.size, _LengthPrefixed(_U32, unit=10)),
     records.METADATA: (_STRING, _STRING),
     records.METADATA_INDEX: (16, _STRING),
     records.SUMMARY_OFFSET: (17,),
@@ -281,7 +281,7 @@ def _opens(match: re.Match[bytes]) -> bool:
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     """Skip another MCAP, which begins here, and those inside it."""
-    message = "another MCAP begins inside of this one; what stands in it is not counted"
+    message = "another MCAP begins inside of this one; its records are not counted"
     losses.note(Malformed(f"byte {stream.position}", message))
     depth = 1
     stream.advance(1)

@@ -203,7 +203,7 @@ class _McapScanner:
                 at_hand = stream.ahead(RECORD_HEAD.size + min(length, MAX_TAKE))
                 body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + at_hand])
                 if length > LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-                    raise Malformed(where, "a record that nothing vouches for")
+                    raise Malformed(where, "an unverified record, after too many bytes were searched without result")
                 _READERS[opcode](self.scan.facts, body, where)
             self._pass(total)
 
@@ -251,7 +251,7 @@ class _McapScanner:
             raise why
         stream.ahead(total + LOOK)
         if scan.losses.is_search_budget_spent(stream.position) and not self._is_followed(total):
-            raise Malformed("chunk", "nothing stands behind it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
@@ -364,7 +364,7 @@ class _McapScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.facts.index_faults.note(start, "its message index points at something else than its messages")
+            self.scan.facts.index_faults.note(start, "its message index has wrong offsets")
 
     def _end_chunk(self) -> None:
         """Compare the last chunk with its message indexes."""

@@ -98,7 +98,7 @@ def _read_index_section(stream: ByteStream, index: BagIndex, left: int) -> None:
         missing = counted(left, "record is", "records are")
         raise Malformed(f"byte {stream.position}", f"the file is cut within its index: {missing} missing")
     if not stream.at_end():
-        raise Malformed(f"byte {stream.position}", "the index goes on behind what the bag's header says")
+        raise Malformed(f"byte {stream.position}", "the index continues after the records that the bag header counts")
 
 
 def _read_chunk_info(index: BagIndex, fields: records.Fields, data: bytes, where: str) -> None:

@@ -176,7 +176,7 @@ def read_index_data(stream: ByteStream) -> tuple[int, list[int], array[int]]:
     where = f"byte {stream.position}"
     fields, data_bytes = read_fields(stream)
     if fields.opcode() != INDEX_DATA or fields.u32("ver") != 1:
-        raise Malformed(where, "something else where index data should be")
+        raise Malformed(where, "another record instead of index data")
     if data_bytes != INDEX_ENTRY_BYTES * fields.u32("count"):
         raise Malformed(where, "index data whose length does not fit its count")
     flat = array_u32(stream.take(data_bytes))

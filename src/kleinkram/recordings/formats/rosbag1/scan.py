@@ -182,7 +182,7 @@ class _BagScanner:
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
         if record.data_bytes > _LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-            raise Malformed(where, "an index record that nothing vouches for")
+            raise Malformed(where, "an unverified index record, after too many bytes were searched without result")
         data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
         if record.opcode == records.CONNECTION:
             self.scan.losses.wasted_bytes += record.data_bytes
@@ -238,7 +238,7 @@ class _BagScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.index_faults.note(start, "its index data point at something else than its messages")
+            self.scan.index_faults.note(start, "its index data have wrong offsets")
 
     def _read_chunk(self, record: BagRecord, stored: memoryview) -> tuple[ChunkMessages, int]:
         """Read a chunk; return its messages, and its length in the file."""
@@ -307,7 +307,7 @@ class _BagScanner:
         if self.scan.losses.is_search_budget_spent(stream.position) and (
             compression == "none" or not chunks.stands_outside_chunks(stream.window, stream.at + total)
         ):
-            raise Malformed("chunk", "nothing vouches for it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
 
     def _read_cut_chunk(self, record: BagRecord, cut: Cut) -> None:
         """Read what is left of a chunk that reaches beyond the end of the file."""
