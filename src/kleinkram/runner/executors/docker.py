@@ -12,7 +12,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from http import HTTPStatus
 from itertools import groupby
 from pathlib import Path
@@ -30,6 +30,7 @@ from kleinkram.runner.executors.docker_client import (
     EngineError,
     EngineUnavailable,
     ImageInfo,
+    OutputPiece,
 )
 from kleinkram.runner.executors.docker_images import Images, Pull
 from kleinkram.runner.executors.limits import (
@@ -53,6 +54,7 @@ _STOP_REASON = "stop-reason.json"
 _LOG_CURSOR = "log.cursor"
 _GAP = b"\n[kleinkram] lines may be missing here: the engine did not keep all of the output\n"
 _FIRST_OUTPUT_BYTES = 2**12
+_LONGEST_LINE_BYTES = 2**16
 _RETRY_EVERY_S = 0.2
 # A restarted engine is back by then.
 _ENGINE_BACK_S = 60.0
@@ -193,7 +195,9 @@ class DockerExecutor(LocalExecutor):
     def _monitor(self, job: RunJob, *, is_reattached: bool = True) -> "ContainerMonitor":
         with self._lock:
             if job.key not in self._monitors:
-                self._monitors[job.key] = ContainerMonitor(self._client, job, is_reattached=is_reattached)
+                self._monitors[job.key] = ContainerMonitor(
+                    self._client, job, is_reattached=is_reattached, can_follow=not self._engine.is_podman
+                )
             return self._monitors[job.key]
 
     def _forget(self, job: RunJob) -> None:
@@ -209,14 +213,14 @@ class DockerExecutor(LocalExecutor):
 class ContainerMonitor:
     """Watches one container: its log, limits, port forwards and end. `is_reattached`: an earlier runner started it."""
 
-    def __init__(self, client: DockerClient, job: RunJob, *, is_reattached: bool) -> None:
+    def __init__(self, client: DockerClient, job: RunJob, *, is_reattached: bool, can_follow: bool) -> None:
         self._client = client
         self._job = job
         self._name = containers.container_name(job)
         self._is_reattached = is_reattached
         self._limits = LimitMonitor(job.directory, limits_of(job))
         self._limits.reason = _read_stop_reason(job.directory)
-        self._log = ContainerLog(client, job)
+        self._log = ContainerLog(client, job, can_follow=can_follow)
         self._pid = self._start_ticks = 0
         self._groups: dict[str, str] = {}
         self._was_oom_killed = False
@@ -400,11 +404,13 @@ class ContainerLog:
 
     The engine stores the output as well. A copy that was interrupted goes on after as many bytes of each stream as it
     has (the order of the two streams may change between reads): nothing is missing or there twice. These numbers are
-    written before each append, so that an append that was cut short counts, too.
+    written before each append, so that an append that was cut short counts, too. Without `can_follow` (Podman) the
+    stored output is read repeatedly.
     """
 
-    def __init__(self, client: DockerClient, job: RunJob) -> None:
+    def __init__(self, client: DockerClient, job: RunJob, *, can_follow: bool = True) -> None:
         self._client = client
+        self._can_follow = can_follow
         self._name = containers.container_name(job)
         self._path = job.directory / LOG
         self._cursor_path = job.directory / _LOG_CURSOR
@@ -449,11 +455,14 @@ class ContainerLog:
                 had_exited = self._has_exited.is_set()
                 # The stream of a follower may end before the last words: what is stored is read once more.
                 is_whole = False
+                started_s = time.monotonic()
                 with contextlib.suppress(EngineUnavailable, EngineError):
-                    is_whole = self._copy_missing(log, follow=not had_exited)
+                    is_whole = self._copy_missing(log, is_final=had_exited)
                 if self._is_full(log) or (had_exited and is_whole):
                     break
-                self._has_exited.wait(_RETRY_EVERY_S)
+                # Reading all of it takes at most a tenth of the time.
+                read_s = 0.0 if self._can_follow else time.monotonic() - started_s
+                self._has_exited.wait(max(_RETRY_EVERY_S, 10 * read_s))
                 if had_exited:
                     self._is_closed.wait(_RETRY_EVERY_S)
         except OSError:
@@ -463,20 +472,19 @@ class ContainerLog:
             os.close(self._cursor)
             self.is_complete = True
 
-    def _copy_missing(self, log: int, *, follow: bool) -> bool:
+    def _copy_missing(self, log: int, *, is_final: bool) -> bool:
         """Append what is missing of the stored output; return whether that came to its end."""
         skip = dict(self._copied)
         since_ns = 0
         if any(skip.values()) and not self._begins_alike(log):
             since_ns, skip = os.fstat(log).st_mtime_ns, {1: 0, 2: 0}
             write_all(log, _GAP)
-        for pieces in self._client.log(self._name, follow=follow, since_ns=since_ns):
-            for stream, same in groupby(pieces, key=lambda piece: piece.stream):
-                data = b"".join(piece.data for piece in same)
-                known = min(skip[stream], len(data))
-                skip[stream] -= known
-                if known < len(data) and not self._append(log, stream, data[known:]):
-                    return True
+        stored = self._client.log(self._name, follow=self._can_follow and not is_final, since_ns=since_ns)
+        for stream, data in _complete_lines(stored, is_final=is_final):
+            known = min(skip[stream], len(data))
+            skip[stream] -= known
+            if known < len(data) and not self._append(log, stream, data[known:]):
+                return True
             if self._is_closed.is_set():
                 return True
         return True
@@ -514,6 +522,20 @@ class ContainerLog:
 
     def _is_full(self, log: int) -> bool:
         return os.fstat(log).st_size >= LOG_BYTES
+
+
+def _complete_lines(batches: Iterable[list[OutputPiece]], *, is_final: bool) -> Iterator[OutputPiece]:
+    """Yield output so that lines of one stream do not cut those of the other: Podman stores parts of lines."""
+    pending = {1: b"", 2: b""}
+    for pieces in batches:
+        for stream, same in groupby(pieces, key=lambda piece: piece.stream):
+            data = pending[stream] + b"".join(piece.data for piece in same)
+            end = data.rfind(b"\n") + 1 if len(data) < _LONGEST_LINE_BYTES else len(data)
+            pending[stream] = data[end:]
+            if end:
+                yield OutputPiece(stream, data[:end])
+    if is_final:
+        yield from (OutputPiece(stream, data) for stream, data in pending.items() if data)
 
 
 def _read_stop_reason(directory: Path) -> tuple[str, str] | None:
