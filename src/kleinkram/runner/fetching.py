@@ -9,7 +9,7 @@ import urllib3
 
 from kleinkram.client._retry import Backoff
 from kleinkram.client.runners import Runners
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, StoreDoor
+from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
 from kleinkram.contract.runners import AssignedInput, InputsRequest, RunAssignment
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.cache import Cache, Damaged, NoRoom, Part, Wanted
@@ -27,7 +27,9 @@ _REFUSALS = 4
 class InputFetcher:
     """Fetches the inputs of one run. `store` is shared by all runs."""
 
-    def __init__(self, runners: Runners, store: StoreDoor, cache: Cache, claim: RunAssignment, orders: Orders) -> None:
+    def __init__(
+        self, runners: Runners, store: StoreClient, cache: Cache, claim: RunAssignment, orders: Orders
+    ) -> None:
         self._runners = runners.with_patience(PATIENCE_S, orders.wait)
         self._store = store
         self._cache = cache
@@ -118,10 +120,10 @@ class InputFetcher:
                 answer.close()
             if part.offset > before:
                 backoff = Backoff(PATIENCE_S, self._orders.wait)
-            elif answer.answer is Answer.sign_again and refusals < _REFUSALS:
+            elif answer.answer is StoreAnswer.sign_again and refusals < _REFUSALS:
                 refusals += 1
                 self._ask([path])
-            elif answer.answer in {Answer.taken, Answer.try_again}:
+            elif answer.answer in {StoreAnswer.taken, StoreAnswer.try_again}:
                 if not backoff.pause():
                     raise _unavailable(f"The input {path} cannot be fetched: {answer.why}.")
             else:

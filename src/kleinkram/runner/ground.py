@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kleinkram.client.runners import Runners
 from kleinkram.client.service import Service
-from kleinkram.client.transfer._store import StoreDoor
+from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.runner.attempts import Attempt
@@ -22,7 +22,7 @@ class Ground:
 
     executor: Executor
     runners: Runners
-    store: StoreDoor
+    store: StoreClient
     cache: Cache
     url: str
     token: str

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from kleinkram.client.errors import StoreTroubled
 from kleinkram.client.runners import ArtifactUploads
-from kleinkram.client.transfer._uploader import Uploader
-from kleinkram.client.transfer.outcome import TransferResult
-from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver, TransferResult
+from kleinkram.client.transfer.threads import RateLimit
+from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract.runners import LOG_PATH, RunAssignment
 from kleinkram.runner.results import Artifact
 
@@ -39,8 +38,8 @@ class Leaving:
             uploads,
             server,
             claim.run_id,
-            pace=Pace(None),
-            watcher=Unwatched(),
+            pace=RateLimit(None),
+            watcher=SilentObserver(),
             ended=self._ended,
             journals=journals,
         )

@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.runners import Runners
-from kleinkram.client.transfer._store import Answer, StoreDoor
+from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
@@ -48,7 +48,7 @@ class LogFollower:
     """Follows the log of one run, in a thread of its own, until it is told to leave."""
 
     def __init__(
-        self, runners: Runners, store: StoreDoor, claim: RunAssignment, folder: Path, redactor: Redactor
+        self, runners: Runners, store: StoreClient, claim: RunAssignment, folder: Path, redactor: Redactor
     ) -> None:
         self._runners = runners.with_patience(_PATIENCE_S, self._wait)
         self._store = store
@@ -125,7 +125,7 @@ class LogFollower:
         while True:
             try:
                 put = self._runners.create_log_chunk(self._claim.run_id, ask)
-                if self._store.put(put.url, put.headers, len(piece), [piece]).answer is Answer.taken:
+                if self._store.put(put.url, put.headers, len(piece), [piece]).answer is StoreAnswer.taken:
                     kept = LogChunkConfirm(attempt=self._claim.attempt, offset=offset, size_bytes=len(piece))
                     self._runners.confirm_log_chunk(self._claim.run_id, kept)
                     return

@@ -19,7 +19,7 @@ from kleinkram.client._retry import Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runners import Runners
 from kleinkram.client.service import Service
-from kleinkram.client.transfer._store import StoreDoor
+from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
@@ -84,7 +84,7 @@ class Runner:
         # A beat that gets no answer must not cost the lease.
         self._beating_api = Api(endpoint, read_timeout_s=_BEAT_TIMEOUT_S)
         self._beating = Runners(self._beating_api)
-        self._store = StoreDoor(_STORE_CONNECTIONS)
+        self._store = StoreClient(_STORE_CONNECTIONS)
         self._stopping = threading.Event()
         self._over = threading.Event()
         self._is_cut_off = False
