@@ -181,7 +181,7 @@ _BUSY = b"<Error><Code>SlowDown</Code></Error>"
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("reply", "expected"),
     [
         (b"HTTP/1.1 503 Busy\r\nContent-Length: %d\r\n\r\n%b" % (len(_BUSY), _BUSY), "503 SlowDown"),
         (b"HTTP/1.1 503 Busy\r\nTransfer-Encoding: chunked\r\n\r\n24\r\n%b\r\n0\r\n\r\n" % _BUSY, "503 SlowDown"),
@@ -201,7 +201,7 @@ def test_whatever_else_is_answered_the_connection_serves_the_next(reply: bytes, 
 
 
 @pytest.mark.parametrize(
-    "said",
+    "reply",
     [
         b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\nContent-Length: 0\r\n\r\n",
         b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\n\r\n",
@@ -215,7 +215,7 @@ def test_a_connection_that_the_store_ends_is_followed_by_another(reply: bytes) -
 
 
 @pytest.mark.parametrize(
-    "said", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
+    "reply", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
 )
 def test_no_answer_is_a_reason_to_try_again(reply: bytes) -> None:
     (first, second), store = put_each(reply, _TAKEN)
