@@ -7,10 +7,19 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from kleinkram.recordings import Content, FileSource, RecordingSummary, from_dict, summarise, to_dict
+from kleinkram.recordings import (
+    Content,
+    FileSource,
+    NotARecording,
+    Recording,
+    RecordingSummary,
+    TooDisordered,
+    from_dict,
+    summarise,
+    to_dict,
+)
 from kleinkram.recordings.decoding import image, points
 from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.reading import NotARecording, Recording, TooDisordered
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed

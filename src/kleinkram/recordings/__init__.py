@@ -1,12 +1,9 @@
-"""Bytes of a recording -> facts about it: ROS 1 bag, MCAP, rosbag2.
+"""Recordings (MCAP, ROS 1 bag, rosbag2, ULog): what is in them (`summarise`, `scan`), and their messages (`Recording`).
 
-Pure: a source is "read these bytes at this offset". Bounded memory, no database, nothing of ours outside this
-package. Files are untrusted: whatever their bytes, the answer is a summary (`summarise`), and a server lets a child
-process give it (`summarise_isolated`).
+Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
+untrusted: whatever their bytes, the answer is a summary. A server reads them in a child process (`isolation`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
-
-Submodules: `reading` (messages), `inspect`, `isolation`, `http_source`, and `sample`, which makes sample missions.
 """
 
 from importlib import import_module
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
         compare_metadata,
         parse_rosbag2_metadata,
     )
-    from kleinkram.recordings.grouping import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
@@ -50,6 +46,20 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
+    from kleinkram.recordings.recording import (
+        Channel,
+        Message,
+        NoSuchTopic,
+        NotARecording,
+        RawMessage,
+        Recording,
+        Schema,
+        SeveralRecordings,
+        TooCostly,
+        TooDisordered,
+        Topic,
+    )
+    from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import (
         CountingSource,
         FileSource,
@@ -64,6 +74,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CHILD_COMMAND",
     "CHILD_ENVIRONMENT",
+    "Channel",
     "Content",
     "CountingSource",
     "Depth",
@@ -73,18 +84,28 @@ __all__ = [
     "FileSource",
     "Lost",
     "MemberFacts",
+    "Message",
+    "NoSuchTopic",
+    "NotARecording",
     "Problem",
+    "RawMessage",
+    "Recording",
     "RecordingError",
     "RecordingFormat",
     "RecordingGroup",
     "RecordingGroupKind",
     "RecordingSummary",
     "Rosbag2Metadata",
+    "Schema",
     "SequentialReader",
+    "SeveralRecordings",
     "Source",
     "SourceError",
     "StreamRequest",
     "SummaryFailed",
+    "TooCostly",
+    "TooDisordered",
+    "Topic",
     "TopicFacts",
     "TopicSummary",
     "UrlRequest",
@@ -111,6 +132,19 @@ __all__ = [
 ]
 
 _HOMES = {
+    "recording": (
+        "Channel",
+        "Message",
+        "NoSuchTopic",
+        "NotARecording",
+        "RawMessage",
+        "Recording",
+        "Schema",
+        "SeveralRecordings",
+        "TooCostly",
+        "TooDisordered",
+        "Topic",
+    ),
     "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
     "sources": (
@@ -122,7 +156,7 @@ _HOMES = {
         "pipe_reader",
         "source_reader",
     ),
-    "grouping": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "recording_groups": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",

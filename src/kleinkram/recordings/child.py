@@ -1,6 +1,6 @@
 """The process that reads untrusted files: a line of JSON on stdin for each, a line on stdout, nothing else.
 
-Behind a request's line its bytes may follow. Then all of them are taken before the answer is given, so that whoever
+Behind a request's line its bytes may follow. Then all of them are taken before the answer is given, so that the caller
 writes them need not know when the reader has seen enough.
 
 It bounds itself before it looks at a byte: address space, processor time, no core file. It is started with an empty

@@ -51,8 +51,8 @@ class ChunkFormat:
 
     Attributes:
         open_chunk: reads a chunk's record up to its stored bytes.
-        parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they stand.
-        salvage: where messages stand in parts of a file, such as a chunk that is damaged.
+        parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they are.
+        salvage: where messages are in parts of a file, such as a chunk that is damaged.
         read_message_index: what the message index behind a chunk lists.
     """
 
@@ -64,7 +64,7 @@ class ChunkFormat:
 
 @dataclass(frozen=True)
 class ChunkedFile:
-    """A file, where its chunks are, and who writes in them.
+    """A file, its table of chunks, and its channels.
 
     Attributes:
         is_part: it is part of a damaged chunk, of which no more can be saved.
@@ -85,7 +85,7 @@ Loaded = Buffer | Malformed
 
 
 def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-    """Yield the chunks that may hold what is wanted, by their first time, to be opened in this order."""
+    """Yield the chunks that may hold selected messages, by their first time. Open them in this order."""
     channels = {
         number: channel
         for number, channel in file.channels.items()
@@ -106,7 +106,7 @@ class _ChunkReader:
         self._is_selection_sure = True
 
     def select(self) -> array[int]:
-        """Return the numbers of the chunks that may hold what is wanted, by their first time."""
+        """Return the numbers of the chunks that may hold selected messages, by their first time."""
         file, channels, check = self._file, frozenset(self._channels), self._file.check
         if check is not None:
             check.before_selecting()
@@ -118,7 +118,7 @@ class _ChunkReader:
         return self._numbers
 
     def pieces(self, numbers: Iterable[int], order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield chunks, to be opened in this order."""
+        """Yield chunks. Open them in this order."""
         selection, loaded = self._selection, self.load_ahead(numbers)
         for number in numbers:
             row = self._file.table.rows[number]
@@ -135,8 +135,8 @@ class _ChunkReader:
             )
 
     def _with_missed(self, row: Row, run: MessageRun) -> MessageRun:
-        """Return the messages of a chunk; where the index was seen to be wrong meanwhile, here or by another reader of
-        the file, with those of the chunks that were not selected for that reason.
+        """Return the messages of a chunk. If the index turned out wrong meanwhile, add those of the chunks that were
+        not selected for that reason.
         """
         check = self._file.check
         if check is None or self._is_selection_sure:
@@ -161,7 +161,7 @@ class _ChunkReader:
             yield from group
 
     def _tasks(self, numbers: Iterable[int], *, together: bool) -> Iterator[ReadAheadTask[list[Loaded]]]:
-        """Yield what is to be fetched; over a network, chunks that stand behind each other are fetched together."""
+        """Yield what to fetch; over a network, adjacent chunks are fetched together."""
         group: list[Row] = []
         size, previous, alone = 0, -1, True
         for number in numbers:
@@ -199,7 +199,7 @@ class _ChunkReader:
         return self._take(row, _read(self._file.source, row.start, row.length))
 
     def _take(self, row: Row, data: Buffer) -> Loaded:
-        """Return the content of a row whose bytes are at hand: records as they stand, a chunk unpacked."""
+        """Return the content of a row: records as they are, a chunk decompressed."""
         return data if row.kind == PlaceKind.records else self._unpack(row, data)
 
     def _unpack(self, row: Row, data: Buffer) -> Loaded:
@@ -241,7 +241,7 @@ class _ChunkReader:
             return []  # it was whole when it was read before: the file changes meanwhile
 
     def _salvaged(self, row: Row, damage: Malformed) -> MessageRun:
-        """Read what a scan finds in a damaged chunk, or instead of one that does not stand where the index says."""
+        """Scan a damaged chunk, or the file where the index lists a chunk that is not there."""
         file = self._file
         gaps: Iterable[FileGap] = []
         if not file.is_part and row.kind != PlaceKind.records:
@@ -258,12 +258,12 @@ class _ChunkReader:
         return MessageRun([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
 
     def _unlisted(self) -> Iterable[FileGap]:
-        """Return where chunks may stand that the index lists somewhere else; at the second time nothing."""
+        """Return the ranges in which unlisted chunks may be; nothing at the second call."""
         if self._searched:
             return []
         self._searched = True
         file = self._file
-        message = "its index lists chunks where none stands: what stands between the others is read instead"
+        message = "its index lists chunks that are not there; the space between the others is read instead"
         file.problem_log.add("index-damaged", file.source.name, message)
         return unlisted(file.source, file.table.rows, file.format.open_chunk)
 
@@ -273,7 +273,7 @@ class _ChunkReader:
             yield block
 
     def _parse(self, row: Row, content: Buffer) -> Block:
-        """Return the wanted messages by time.
+        """Return the selected messages by time.
 
         Raises:
             Malformed: a record is damaged.
@@ -287,7 +287,7 @@ class _ChunkReader:
         return messages
 
     def _compare_start(self, row: Row, messages: Block) -> None:
-        """Note a chunk that holds other messages than the index says: it may have been opened too late for them."""
+        """Report a chunk with messages outside the times in the index: it may have been opened too late for them."""
         if not messages:
             return
         if messages[-1].log_time_ns > row.last_ns:
@@ -369,7 +369,7 @@ class ChunkTableBuilder:
             self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
 
     def close(self) -> None:
-        """End the row that was begun, if any."""
+        """End the current row, if there is one."""
         place = self._place
         if place is not None and self._remembers(place):
             kind, start, length, uncompressed, readable_ranges = place
@@ -397,7 +397,7 @@ class ChunkTableBuilder:
         return fits and known.start + known.length == place.start
 
     def _remembers(self, place: MessagePlace) -> bool:
-        """Say whether there is room for a place; a file of nothing but damage is not remembered to its end."""
+        """Return whether there is room for another place. Bounds the memory for files full of damage."""
         self._range_count += len(place.readable_ranges or ())
         if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
             return True
@@ -409,14 +409,14 @@ _HEAD_WINDOW = 4096
 
 
 class FileGap(NamedTuple):
-    """A part of a file: [start, end)."""
+    """A range of a file: [start, end)."""
 
     start: int
     end: int
 
 
 class JoinedGaps:
-    """Gaps of a source, one behind the other, behind the bytes with which a file of its format begins: a `Source`."""
+    """Ranges of a source, joined behind the magic of its format: a `Source` that can be scanned."""
 
     path: Path | None = None
 
@@ -434,7 +434,7 @@ class JoinedGaps:
         self.size_bytes = self._ends[-1]
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return the bytes at a place of the part."""
+        """Return the bytes at an offset of the joined ranges."""
         data = self._magic[offset : offset + length]
         while len(data) < length:
             at = offset + len(data)
@@ -446,7 +446,7 @@ class JoinedGaps:
 
 @dataclass(frozen=True)
 class SalvagedMessages:
-    """Where messages stand in a part of a file."""
+    """Where a scan found messages in part of a file."""
 
     part: JoinedGaps
     table: ChunkTable
@@ -457,7 +457,7 @@ OpenChunk = Callable[[ByteStream], StoredChunk]
 
 
 def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
-    """Return where the chunk of a row ends; None if none stands there, or one that does not fit into the row.
+    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row.
 
     Raises:
         SourceError: as `Source.read`.
@@ -472,7 +472,7 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
 
 
 def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
-    """Return the parts of a file, in their order, that belong to no chunk which its index lists where one stands.
+    """Return the ranges of a file that belong to no chunk at the places that the index lists.
 
     `rows`: in the order of their places. Reads the head of each chunk.
 

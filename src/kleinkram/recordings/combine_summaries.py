@@ -1,4 +1,4 @@
-"""Several files of one recording -> one summary of the recording."""
+"""Combines the summaries of the files of one recording."""
 
 from __future__ import annotations
 
@@ -98,13 +98,13 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
 
 
 def _readable_count(summary: RecordingSummary) -> int | None:
-    """Return the messages of a member; none where nothing of it can be read."""
+    """Return the messages of a file; 0 if nothing of it can be read."""
     unreadable = summary.content in (Content.broken, Content.opaque)
     return summary.message_count or 0 if unreadable else summary.message_count
 
 
 def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
-    """Name the topics whose type is not the same in all members."""
+    """Report the topics whose type differs between files."""
     types: dict[str, dict[str, None]] = defaultdict(dict)
     for summary in summaries:
         for topic in summary.topics:
@@ -117,7 +117,7 @@ def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
 
 
 def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> list[Problem]:
-    """Name the members before which the clock was set back: there, most topics begin long before they ended."""
+    """Report the files before which the clock was set back: most of their topics begin before the file before ended."""
     problems = []
     ended: dict[str, int] = {}
     for number, summary in enumerate(summaries):
@@ -128,7 +128,7 @@ def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) 
         if 2 * len(back) > len(shared):
             where = names[number] if names else f"file {number + 1}"
             message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
-            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are not to be trusted"))
+            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are unreliable"))
         ended.update((name, last_ns) for name, _, last_ns in known)
     return problems
 
@@ -143,7 +143,7 @@ def _content(contents: set[Content]) -> Content:
 
 
 def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str | None:
-    """Return why the whole is not whole: the worst member's reason, and how many others have one."""
+    """Return the reason of the worst file, and how many others have one."""
     numbers_with_reason = [number for number, summary in enumerate(summaries) if summary.reason]
     if not numbers_with_reason:
         return None
@@ -223,7 +223,7 @@ _FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap
 def combine_folder(
     metadata: Rosbag2Metadata | None, names: Sequence[str], summaries: Sequence[RecordingSummary]
 ) -> RecordingSummary:
-    """Merge the data files of a rosbag2 folder, given in the order of recording, and compare with its metadata.yaml.
+    """Merge the summaries of a rosbag2 folder, in the order of recording, and compare them with its metadata.yaml.
 
     `metadata` is None where it could not be understood. `names` are those of the files, without folder. Where files
     are missing, or a damaged one holds fewer messages than the metadata says, that is the recording's loss.

@@ -1,4 +1,4 @@
-"""The account of a damaged file: where it is damaged, and what of it is lost."""
+"""What is damaged in a file, what is lost of it, and the problems found while it is read."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DamageReport:
     unpacked_bytes: int = 0
 
     def unpack(self, uncompressed: int, *, end: int) -> None:
-        """Count what a compressed chunk, which ends at a place in the file, unpacks to.
+        """Count the uncompressed size of a chunk that ends at a place in the file.
 
         Raises:
             Malformed: with it, the file would unpack to more than any recording does.
@@ -51,14 +51,14 @@ class DamageReport:
             raise Malformed("chunk", message, certain=False)
 
     def may_unpack(self, uncompressed: int, *, end: int) -> bool:
-        """Count it as `unpack` does, and return True; False, uncounted, where it is too much."""
+        """Count as `unpack` does and return True; return False, uncounted, above the limit."""
         if self.unpacked_bytes + uncompressed > _most_unpacked(end):
             return False
         self.unpacked_bytes += uncompressed
         return True
 
     def is_search_budget_spent(self, position: int) -> bool:
-        """Say whether so much was read in vain, up to a place in the file, that no honest damage explains it.
+        """Return whether more bytes were searched without result, up to a place in the file, than real damage explains.
 
         Behind a chunk that turns out to be none, the search begins inside it: a file of nothing but heads of chunks
         would be read as often as it has heads.
@@ -66,31 +66,31 @@ class DamageReport:
         return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
 
     def skip_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
-        """Count a chunk of which nothing can be read, and whose index lists so many messages."""
+        """Count a chunk that cannot be read, and whose index lists so many messages."""
         self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
         self.chunks += 1
         self.bytes += size_bytes
         self.messages += messages
 
     def note(self, damage: Malformed) -> None:
-        """Remember a damaged place."""
+        """Add a damaged place."""
         if len(self.damage) < MAX_DAMAGE:
             self.damage.append(_alone(damage))
 
     def note_index(self, fault: Malformed) -> None:
-        """Remember what is wrong with the index alone."""
+        """Add a fault of the index."""
         if len(self.index_faults) < MAX_DAMAGE:
             self.index_faults.append(_alone(fault))
 
     def problems(self) -> list[Problem]:
-        """Return all of it as problems; more of them than a summary lists are not made."""
+        """Return damage and index faults as problems, up to one more than a summary lists."""
         listed = [Problem("damaged", fault.where, fault.message) for fault in self.damage[: MAX_PROBLEMS + 1]]
         return listed + [
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
 
     def total(self, *, claimed: int | None, readable: int) -> Lost:
-        """Return what is lost, which may be nothing. `claimed`: messages that the file should hold, if it says so."""
+        """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""
         messages = self.messages if self.messages_are_known else None
         if claimed is not None and claimed >= readable:
             messages = claimed - readable
@@ -102,13 +102,13 @@ def _most_unpacked(end: int) -> int:
 
 
 def _alone(fault: Malformed) -> Malformed:
-    """Return the fault without the frames that raised it: they would keep their bytes as long as it is kept."""
+    """Return a copy without traceback: its frames would keep their buffers alive."""
     return Malformed(fault.where, fault.message, certain=fault.certain)
 
 
 @dataclass
 class IndexedChunk:
-    """What the index records behind a chunk list, and what was found in it."""
+    """The messages that the index records after a chunk list, and those that were readable."""
 
     start: int
     readable: int
@@ -117,7 +117,7 @@ class IndexedChunk:
     messages: int = 0
 
     def settle(self, losses: DamageReport) -> None:
-        """Compare the two, once all index records of the chunk were read."""
+        """Compare both, after all index records of the chunk."""
         if not self.damaged:
             if self.records and self.messages != self.readable:
                 message = f"its index lists {counted(self.messages, 'message')}, it holds {self.readable}"
@@ -129,7 +129,7 @@ class IndexedChunk:
 
 
 class ProblemLog:
-    """The problems of one recording so far."""
+    """The problems of one recording: each once, up to `MAX_PROBLEMS`."""
 
     def __init__(self) -> None:
         self._problems: dict[tuple[str, str], Problem] = {}
@@ -137,7 +137,7 @@ class ProblemLog:
         self._late_count = 0
 
     def add(self, code: str, where: str, message: str) -> None:
-        """Note a problem; the second of a code and a place is the first one met again."""
+        """Add a problem, unless there is one with this code and place."""
         if (code, where) in self._problems:
             return
         if len(self._problems) < MAX_PROBLEMS:
@@ -146,11 +146,11 @@ class ProblemLog:
             self._left_out += 1
 
     def note_late(self, messages: int) -> None:
-        """Note how many messages one iteration has left out, so far, because they came too late to be in order."""
+        """Set how many messages one iteration has left out so far because they came too late to be in order."""
         self._late_count = max(self._late_count, messages)
 
     def all(self, known: Iterable[Problem] = ()) -> tuple[Problem, ...]:
-        """Return the problems in the order in which they were met, behind those that were `known` from elsewhere."""
+        """Return the `known` problems from elsewhere, then those of this log in their order."""
         merged: dict[tuple[str, str], Problem] = {}
         for problem in (*known, *self._problems.values()):
             merged.setdefault((problem.code, problem.where), problem)

@@ -1,4 +1,4 @@
-"""Bytes of messages -> values, channel by channel."""
+"""Decodes raw messages, channel by channel."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator
 
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for
+from kleinkram.recordings.formats.base import MemberContents
 from kleinkram.recordings.formats.ulog import as_ros1_definition
-from kleinkram.recordings.member import MemberContents
 from kleinkram.recordings.messages import Block, Channel, Message, Schema, Topic
 
 
 def decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator[Message]:
-    """Yield the messages of blocks with their values; what cannot be decoded keeps its bytes."""
+    """Yield decoded messages; one that cannot be decoded has its bytes as value."""
     decoders: dict[int, tuple[Channel, Decoder | None]] = {}
     new = tuple.__new__
     for block in blocks:
@@ -31,14 +31,14 @@ def decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator[
 
 
 def decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
-    """Return what decodes messages, or why nothing does."""
+    """Return the decoder of a message encoding and schema, or why there is none."""
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
         return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
     return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
 
 
 def find_decoder(channel: Channel) -> Decoder | None:
-    """Return what decodes a channel's messages; None where nothing does."""
+    """Return the decoder of a channel; None if there is none."""
     decoder = decoder_of(channel.message_encoding, channel.schema)
     return decoder if isinstance(decoder, Decoder) else None
 
@@ -46,7 +46,7 @@ def find_decoder(channel: Channel) -> Decoder | None:
 def timed(
     blocks: Iterable[Block], schema: Schema, encoding: str, problem_log: ProblemLog
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield log time, publish time and bytes of the messages of one layout; others are left out, and named.
+    """Yield log time, publish time and bytes of the messages of one layout; others are left out and reported.
 
     Schemas of one layout may differ in comments, white space and the order of their definitions.
     """
@@ -76,7 +76,7 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
 
 
 class DecodeProblemLogger:
-    """Names in the problems what a table could not decode."""
+    """Reports messages that a table could not decode."""
 
     def __init__(self, topic: str, problem_log: ProblemLog) -> None:
         self._topic = topic
@@ -90,7 +90,7 @@ class DecodeProblemLogger:
 
 
 def list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
-    """Return the topics by name, with the counts of all files; a count that one file does not know is not known."""
+    """Return the topics by name, with the counts over all files; None if one file does not know its count."""
     first: dict[str, Channel] = {}
     counts: dict[str, int | None] = {}
     for content in contents:
@@ -109,6 +109,6 @@ def _topic(channel: Channel, count: int | None) -> Topic:
 
 
 def undecodable(channel: Channel) -> str | None:
-    """Return why messages of a channel stay bytes; None where they can be decoded."""
+    """Return why messages of a channel stay bytes; None if they can be decoded."""
     decoder = decoder_of(channel.message_encoding, channel.schema)
     return decoder.reason if isinstance(decoder, Undecodable) else None

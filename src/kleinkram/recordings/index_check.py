@@ -1,4 +1,4 @@
-"""What an index says of chunks, compared with what is known of their messages.
+"""Compares the index of chunks with the messages in them.
 
 A reader that selects chunks by the times and channels of an index leaves out messages where these are wrong. A summary
 compares the index of chunks with the message indexes behind them, a scan with the messages themselves.
@@ -25,7 +25,7 @@ _MAX_FAULTS = 10_000
 
 
 class ChunkClaim(NamedTuple):
-    """What an index says of the chunk at [start, end), or what was found of it: inclusive times, channels, messages.
+    """A chunk at [start, end), by the index or by a scan: inclusive times, channels, messages.
 
     `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not say.
     """
@@ -40,7 +40,7 @@ class ChunkClaim(NamedTuple):
 
 @dataclass
 class ChunkMessages:
-    """Times and channels of the messages of one chunk, as they are found."""
+    """Times and channels of the messages of one chunk."""
 
     first_ns: int = UNKNOWN
     last_ns: int = 0
@@ -71,12 +71,12 @@ class ChunkMessages:
 
 @dataclass
 class IndexFaults:
-    """What is wrong with what an index says of chunks: one fault of a chunk, at most some thousands."""
+    """Faults of the index: one for each chunk, up to a limit."""
 
     _by_chunk: dict[int, Problem] = field(default_factory=dict)
 
     def note(self, start: int, message: str) -> None:
-        """Note what is wrong with what is said of the chunk at `start`; the first fault of a chunk counts."""
+        """Note a fault; the first one of a chunk counts."""
         self._add(start, _fault(start, message))
 
     def _add(self, start: int, problem: Problem) -> None:
@@ -84,13 +84,13 @@ class IndexFaults:
             self._by_chunk.setdefault(start, problem)
 
     def compare(self, claim: ChunkClaim, listed: frozenset[int] | None, messages: ChunkMessages) -> None:
-        """Compare what is said of a chunk with its messages. `listed`: its channels; None where they are not known."""
+        """Compare the claim of a chunk with its messages. `listed`: its channels; None: unknown."""
         problem = fault_of_claim(claim, listed, messages)
         if problem is not None:
             self._add(claim.start, problem)
 
     def problems(self) -> list[Problem]:
-        """Return all of it as problems, few whatever the number of chunks."""
+        """Return the faults as problems; similar ones are merged."""
         by_code: dict[str, list[Problem]] = defaultdict(list)
         for _, problem in sorted(self._by_chunk.items()):
             by_code[problem.code].append(problem)
@@ -98,14 +98,14 @@ class IndexFaults:
 
 
 def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, messages: ChunkMessages) -> Problem | None:
-    """Return what is wrong with what an index says of a chunk; None where it is right."""
+    """Return what is wrong with the claim of a chunk; None: nothing."""
     if messages.messages and (
         wrong := wrong_times((claim.first_ns, claim.last_ns), (messages.first_ns, messages.last_ns))
     ):
         return _fault(claim.start, f"the index is wrong: it says that its messages {wrong}")
     if listed is not None and not messages.channels <= listed:
         missing = ", ".join(map(str, sorted(messages.channels - listed)[:5]))
-        message = f"the index is wrong: it does not say that the chunk holds messages of channel {missing}"
+        message = f"the index is wrong: it omits messages of channel {missing}"
         return _fault(claim.start, message)
     if claim.messages in (messages.messages, UNKNOWN):
         return None
@@ -118,12 +118,12 @@ def _fault(start: int, message: str) -> Problem:
 
 
 def wrong_compression(named: str) -> str:
-    """Say that an index names a compression for a chunk which can be read."""
+    """Describe an index entry with a wrong compression."""
     return f"the index is wrong: it says that the chunk is compressed by '{named}'"
 
 
 def wrong_times(claimed: tuple[int, int], actual: tuple[int, int]) -> str | None:
-    """Say how claimed times of messages, earliest and latest, differ from those found; None where they are equal."""
+    """Describe how claimed times, earliest and latest, differ from the actual ones; None: they are equal."""
     if claimed == actual:
         return None
     parts = [
@@ -142,7 +142,7 @@ def compare_with_scan(
     *,
     is_damaged: bool,
 ) -> None:
-    """Compare an index with the chunks that a scan found; both tables are brought into the order of their starts.
+    """Compare an index with the chunks of a scan; sorts both tables.
 
     A chunk that could not be read whole has `UNKNOWN` messages. Where a file is damaged, a chunk that only one of the
     tables holds is no fault of the index.
@@ -156,7 +156,7 @@ def compare_with_scan(
             at += 1
         if at == len(actual) or actual[at].start != claim.start:
             if not is_damaged:
-                faults.note(claim.start, "the index is wrong: it lists a chunk that does not stand here")
+                faults.note(claim.start, "the index is wrong: it lists a chunk that is not here")
             continue
         chunk = actual[at]
         at += 1
@@ -172,7 +172,7 @@ def compare_with_scan(
 
 
 def new_table() -> Int64Table[ChunkClaim]:
-    """Return a table of chunks without rows."""
+    """Return an empty table of chunks."""
     return Int64Table(ChunkClaim, len(ChunkClaim._fields))
 
 
@@ -191,7 +191,7 @@ ReadMessageIndex = Callable[[Source, Row], ChunkMessages | None]
 
 @dataclass
 class IndexCheck:
-    """How far the index of one file was compared with its message indexes.
+    """The comparison of a file's chunk index with its message indexes.
 
     Attributes:
         is_done: all of it was compared, or it does not come from the file.
@@ -209,11 +209,11 @@ class IndexCheck:
     _is_sampled: bool = False
 
     def doubt(self) -> None:
-        """State that something in the index was seen to be wrong."""
+        """Note that the index is wrong somewhere."""
         self.is_doubted = True
 
     def before_selecting(self) -> None:
-        """Compare what can be compared at little cost, before chunks are selected and put in order.
+        """Compare what is cheap to compare, before chunks are selected.
 
         Raises:
             SourceError: as `Source.read`.
@@ -223,7 +223,7 @@ class IndexCheck:
         self.settle()
 
     def when_nothing_fits(self) -> None:
-        """Compare a few chunks, because nothing seems to fit a selection.
+        """Compare some chunks, because none seems to fit a selection.
 
         Raises:
             SourceError: as `Source.read`.
@@ -232,7 +232,7 @@ class IndexCheck:
         self.settle()
 
     def settle(self) -> None:
-        """Compare all chunks, if the index is doubted and that was not done yet.
+        """Compare all chunks, if the index is in doubt and was not compared yet.
 
         Raises:
             SourceError: as `Source.read`.
@@ -274,7 +274,7 @@ class IndexCheck:
         return read_ahead(tasks, workers=workers, most_bytes=_MOST_BYTES_AHEAD)
 
     def _corrected(self, row: Row, messages: ChunkMessages | None) -> Row:
-        """Return a chunk with the times and channels that its message index lists, too; note where they differ."""
+        """Return a row extended by the times and channels of its message index; report a difference."""
         if row.kind != PlaceKind.chunk:
             return row
         is_contradiction = row.first_ns > row.last_ns
@@ -295,14 +295,14 @@ class IndexCheck:
 
 
 def _times_of(row: Row, messages: ChunkMessages | None) -> tuple[int, int] | None:
-    """Return the times of a chunk by its message index, else as the index says; None where that contradicts itself."""
+    """Return the times of a chunk by its message index, or else by the index; None if contradictory."""
     if messages is not None and messages.messages:
         return messages.first_ns, messages.last_ns
     return (row.first_ns, row.last_ns) if row.first_ns <= row.last_ns else None
 
 
 def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:
-    """Say whether the times of chunks cannot be true. `span`: of all messages, as the statistics say."""
+    """Return whether the times of chunks cannot be true. `span`: of all messages, by the statistics."""
     firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
     if any(map(gt, firsts, lasts)):
         return True

@@ -1,4 +1,4 @@
-"""What is in local files and folders, without a server: the content of `klein inspect`."""
+"""Summaries of local files and folders: the content of `klein inspect`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Protocol
 
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.grouping import (
+from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
+from kleinkram.recordings.recording_groups import (
     METADATA_NAME,
     FolderRecordings,
     RecordingGroup,
@@ -20,26 +21,25 @@ from kleinkram.recordings.grouping import (
     read_folder,
     recording_of_metadata,
 )
-from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileReader, FileSource
 from kleinkram.recordings.summary import scan, summarise
 
 
 class ScanProgress(Protocol):
-    """Is told how far a scan is."""
+    """Receives the progress of a scan."""
 
     def began(self, path: str, size_bytes: int) -> None:
-        """A file is being read from here on."""
+        """A file is being read."""
 
     def moved(self, size_bytes: int) -> None:
-        """So many more of its bytes were read."""
+        """More of its bytes were read."""
 
     def ended(self) -> None:
-        """It was read."""
+        """The file was read."""
 
 
 class InspectionKind(str, Enum):
-    """Whether one file or a recording of several was looked at; `folder` is one that could not be listed."""
+    """What was inspected: a file, a recording of several files, or a folder that could not be listed."""
 
     file = "file"
     recording = "recording"
@@ -48,7 +48,7 @@ class InspectionKind(str, Enum):
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in one file, or in one recording.
+    """The summary of one file or recording.
 
     Attributes:
         path: as it was given, or below the folder that was given.
@@ -66,10 +66,10 @@ class Inspection:
 def inspect_paths(
     paths: Iterable[str | os.PathLike[str]], *, depth: Depth = Depth.summary, progress: ScanProgress | None = None
 ) -> list[Inspection]:
-    """Look into files and folders, in the order given; of a folder, each recording inside it.
+    """Inspect files and folders, in the given order; of a folder, each recording in it.
 
     `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
-    `progress` is then told of the bytes that were read. A metadata.yaml of rosbag2 stands for its recording. A file or
+    `progress` is then told of the bytes that were read. A metadata.yaml of rosbag2 is for its recording. A file or
     folder that cannot be read is an inspection of its own and hides no other.
 
     Raises:
@@ -124,14 +124,14 @@ def to_plain(inspection: Inspection) -> dict[str, object]:
 
 
 class _FileInspector:
-    """How files are looked into."""
+    """Summarises or scans files."""
 
     def __init__(self, depth: Depth, progress: ScanProgress | None) -> None:
         self._depth = depth
         self._watch = progress
 
     def into(self, path: Path) -> RecordingSummary:
-        """Summarise or scan a file; say so where it cannot be read."""
+        """Summarise or scan a file; a failure becomes the content `error`."""
         try:
             return self._read(path)
         except SourceError as error:
@@ -152,7 +152,7 @@ class _FileInspector:
 
 
 class _ProgressReader:
-    """A file read forward, whose reader is watched."""
+    """A reader that reports its progress."""
 
     def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
         self.name = reader.name

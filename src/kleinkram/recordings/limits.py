@@ -63,7 +63,7 @@ FREE_UNPACKED = 4 * 2**30
 """Bytes that the chunks of a file may unpack to whatever its size, and"""
 
 MAX_EXPANSION = 200
-"""times as many as stand in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
+"""times as many as are in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
 so that a scan costs about the file."""
 
 MAX_PROBLEMS = 50

@@ -30,14 +30,14 @@ _log_time = attrgetter("log_time_ns")
 
 
 class TooDisordered(RecordingError):
-    """So many parts of the recording overlap in time that they cannot be put in order in bounded memory."""
+    """Too many parts of the recording overlap in time to be merged in bounded memory."""
 
 
 class MessageRun:
-    """Messages of one piece, in order of time; `more` yields those that are not at hand yet.
+    """Messages of one piece by time; `more` yields later ones.
 
     Attributes:
-        buffered_bytes: about the memory that the messages at hand take.
+        buffered_bytes: about the memory that the messages in memory take.
     """
 
     def __init__(self, messages: Block, buffered_bytes: int, more: Iterator[Block] | None = None) -> None:
@@ -47,23 +47,23 @@ class MessageRun:
 
     @property
     def ready_ns(self) -> int:
-        """All its messages before this time are at hand."""
+        """All messages before this time are in memory."""
         if self._more is None:
             return END_OF_TIME_NS
         return self._messages[-1].log_time_ns if self._messages else 0
 
     @property
     def is_whole(self) -> bool:
-        """Say whether all that is left is at hand."""
+        """Return whether all remaining messages are in memory."""
         return self._more is None
 
     @property
     def ended(self) -> bool:
-        """Say whether nothing is left."""
+        """Return whether no message remains."""
         return self._more is None and not self._messages
 
     def refill(self) -> None:
-        """Bring more messages to hand."""
+        """Read more messages."""
         block = None if self._more is None else next(self._more, None)
         if block is None:
             self._more = None
@@ -72,7 +72,7 @@ class MessageRun:
             self.buffered_bytes += weigh(block)
 
     def take(self, before_ns: int) -> Block:
-        """Hand out the messages before a time, and hold them no longer."""
+        """Return and drop the messages before a time."""
         messages = self._messages
         if not messages or messages[0].log_time_ns >= before_ns:
             return []
@@ -85,7 +85,7 @@ class MessageRun:
         return messages[:cut]
 
     def keep_share(self, share_bytes: int, read_again: Callable[[], Block]) -> None:
-        """Hold no more than a share; the rest is read again when its time comes."""
+        """Keep only a share in memory; read the rest again later."""
         left = len(self._messages)
         self._messages, self.buffered_bytes = [], 0
         self._more = _shares(left, share_bytes, read_again)
@@ -93,7 +93,7 @@ class MessageRun:
 
 
 class MessagePiece(NamedTuple):
-    """Something that holds messages from `first_ns` on.
+    """A source of messages from `first_ns` on.
 
     Attributes:
         order: place in the order of the files; decides between equal times.
@@ -111,7 +111,7 @@ def merge(pieces: Iterable[MessagePiece], on_late_messages: Callable[[int], None
     """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
 
     A piece may hold messages that are earlier than its `first_ns`: those that come too late to be in order are left
-    out, and `on_late_messages` is told of how many so far.
+    out, and `on_late_messages` is reported how many so far.
 
     Raises:
         TooDisordered: more pieces overlap than even shares of them can be held.
@@ -142,7 +142,7 @@ class _Merging:
             self._bound()
 
     def blocks(self, before_ns: int) -> Iterator[Block]:
-        """Yield what is earlier than a time."""
+        """Yield the messages before a time."""
         while True:
             alone = len(self._runs) == 1
             cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
@@ -212,14 +212,14 @@ T = TypeVar("T")
 
 
 class ReadAheadTask(NamedTuple, Generic[T]):
-    """Something to do, and the bytes that it will hold."""
+    """A task, and the memory that its result takes."""
 
     size_bytes: int
     run: Callable[[], T]
 
 
 def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
-    """Yield what the jobs return, in order; one that raises raises here, in its turn.
+    """Yield the results of tasks, in order; an exception is raised in its turn.
 
     Closed early, it returns at once: jobs that have begun go on to their end, and nobody hears of them.
     """

@@ -1,4 +1,4 @@
-"""A source: "read these bytes at this offset". Files here; HTTP ranges in `http_source`.
+"""Byte sources: random access (`Source`) and sequential reading (`SequentialReader`).
 
 Sources are safe to share between threads, hold no more than the bytes they return, and never read on their own.
 """
@@ -38,7 +38,7 @@ class Source(Protocol):
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Refuse what no source may be asked for.
+    """Check a range.
 
     Raises:
         SourceError: outside the file, or more than `MAX_READ` at a time.
@@ -104,7 +104,7 @@ class FileSource:
 
 
 class CountingSource:
-    """Another source that also says what it was asked for.
+    """A source that counts what is read.
 
     Attributes:
         bytes_read: bytes returned so far.
@@ -139,7 +139,7 @@ class CountingSource:
 
 
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already asked for.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
 
     A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
 
@@ -155,7 +155,7 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
 
 
 def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already under way.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
 
     A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
 
@@ -183,7 +183,7 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
 
 
 class SequentialReader(Protocol):
-    """The bytes of one file in order."""
+    """The bytes of one file from the first to the last, once."""
 
     @property
     def name(self) -> str:
@@ -195,7 +195,7 @@ class SequentialReader(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """Where the same bytes stand on this machine, for formats that need more than one pass; None: nowhere."""
+        """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
 
     def read(self, length: int) -> bytes:
         """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
@@ -206,7 +206,7 @@ class SequentialReader(Protocol):
 
 
 class SourceReader:
-    """A source read from its start; over a network, the next blocks are already under way."""
+    """Reads a source from its start; over a network, the next blocks are read meanwhile."""
 
     def __init__(self, source: Source, *, path: Path | None = None) -> None:
         self.name = source.name
@@ -235,14 +235,14 @@ class SourceReader:
         return piece
 
     def _read_near(self, length: int) -> bytes:
-        """Read what is asked for and no more, so that it is still in the processor's cache when it is used."""
+        """Read no more than requested, so that it is still in the processor's cache when it is used."""
         piece = self._source.read(self._at, length) if length else b""
         self._at += length
         return piece
 
 
 class FileReader(SourceReader):
-    """A local file. Close it, or use it in a `with`.
+    """Reads a local file. Close it, or use it in a `with`.
 
     Raises:
         SourceError: the file cannot be opened.
@@ -266,7 +266,7 @@ class FileReader(SourceReader):
 
 
 class PipeReader:
-    """The next `size_bytes` bytes of a stream; what follows them stays in it."""
+    """Reads the next `size_bytes` bytes of a stream."""
 
     path = None
 
@@ -292,7 +292,7 @@ class PipeReader:
 
 
 class _Rewound:
-    """A forward whose first bytes were looked at already."""
+    """A reader with its first bytes put back."""
 
     def __init__(self, head: bytes, rest: SequentialReader) -> None:
         self.name = rest.name
@@ -310,7 +310,9 @@ class _Rewound:
 
 
 def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
-    """Return the first bytes, at most `length`, and what still begins with them. `reader` itself is used up."""
+    """Return the first bytes, at most `length`, and a reader that still begins with them. Do not use `reader`
+    afterwards.
+    """
     pieces: list[bytes] = []
     have, length = 0, min(length, reader.size_bytes)
     while have < length and (piece := reader.read(length - have)):
@@ -321,12 +323,12 @@ def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader
 
 
 def source_reader(source: Source) -> SequentialReader:
-    """Read a source forward."""
+    """Read a source sequentially."""
     return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)
 
 
 def file_reader(path: str | os.PathLike[str]) -> FileReader:
-    """Read a local file forward; use it in a `with`.
+    """Read a local file sequentially; use it in a `with`.
 
     Raises:
         SourceError: the file cannot be opened.
@@ -335,5 +337,5 @@ def file_reader(path: str | os.PathLike[str]) -> FileReader:
 
 
 def pipe_reader(stream: BinaryIO, size_bytes: int, name: str) -> SequentialReader:
-    """Read exactly `size_bytes` bytes of a stream forward. `name` is the file's own, for messages and extension."""
+    """Read exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
     return PipeReader(stream, size_bytes=size_bytes, name=name)

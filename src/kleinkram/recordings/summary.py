@@ -1,4 +1,4 @@
-"""`summarise` and `scan`: any file -> what is in it. Whatever the bytes are, the answer is a summary, no exception."""
+"""`summarise` and `scan`: the summary of any file. The content of a file never raises."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A database that is not a local file, brought to one: bounded in size, and never left behind.
+"""Temporary copies of remote or decompressed files: bounded in size, and always removed.
 
 SQLite reads any page at any time, so a database that comes over a network or out of a decompressor is written to a
 temporary file first. The file is locked while it is used; whatever a killed reader left behind is removed by the next.
@@ -30,12 +30,12 @@ _NEW_S = 60
 
 
 class TooLarge(RecordingError):
-    """A database does not fit into the temporary folder. Never leaves `recordings`."""
+    """A copy does not fit into the temporary folder. Internal to `recordings`."""
 
 
 @contextmanager
 def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
-    """Give the path of a database: its own where it is a local file, else that of a temporary copy.
+    """Yield the path of a database: its own if it is local, else that of a temporary copy.
 
     Raises:
         TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
@@ -54,7 +54,7 @@ def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES
 def temporary_database(
     read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
 ) -> Iterator[Path]:
-    """Write a database and, by their suffixes, its log and journal into temporary files; give the database's path.
+    """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path.
 
     Raises:
         TooLarge: one has more than `most_bytes`, or the disk has too little space for it.
@@ -71,7 +71,7 @@ def temporary_database(
 def temporary_copy(
     read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
 ) -> Iterator[Path]:
-    """Write all that `read` returns until it returns b"" into a temporary file, which is gone afterwards.
+    """Write what `read` returns to a temporary file, which is removed afterwards.
 
     `beside`: the path of another one, and what is appended to it.
 
@@ -123,7 +123,7 @@ def _too_large(most_bytes: int, free: int) -> TooLarge:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove copies whose reader is gone: those that nobody holds a lock on.
+    """Remove copies of dead readers: those without a lock.
 
     One that was made just now may not be locked yet.
     """

@@ -1,6 +1,6 @@
-"""Log times of topics -> counts, spans, gaps. Exact, in bounded memory, whatever the order of the messages.
+"""Log times of topics: counts, spans and gaps, exact and in bounded memory, whatever the order of the messages.
 
-Chunks are added in the order in which they stand in the file. That order decides what is out of order; gaps need the
+Chunks are added in the order in which they are in the file. That order decides what is out of order; gaps need the
 order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` says up to where that
 is sure (the smallest start of all chunks still to come), and after it only a few numbers a topic are left. Should
 more than `MAX_PENDING_STAMPS` wait, the older half is settled by force; if an earlier stamp still comes, the longest
@@ -26,7 +26,7 @@ from operator import itemgetter, lt, sub
 
 from kleinkram.recordings.density import MAX_BINS, add_up, count_stamps, most_bins
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
 LEAST_JUMP_NS = 10 * 1_000_000_000
@@ -47,12 +47,12 @@ class StampRun:
     last_ns: int
     count: int
     longest_gap_ns: int
-    density: Density | None = None
+    density: MessageDensity | None = None
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A clock that was set back: stamps that follow each other in the file.
+    """A clock that was set back.
 
     Attributes:
         before_ns: the last stamp before.
@@ -67,7 +67,7 @@ class Jump:
 
 @dataclass
 class TopicTimes:
-    """What is known of the stamps of one topic so far."""
+    """The stamps of one topic so far."""
 
     count: int = 0
     out_of_order: int = 0
@@ -127,7 +127,7 @@ class TopicTimes:
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
     def append(self, later: TopicTimes) -> None:
-        """Add what is known of stamps that follow in the file."""
+        """Add the stamps of a later part of the file."""
         out_of_order, jump = self.out_of_order + later.out_of_order, self.jump or later.jump
         self.add(later.pending)
         self.out_of_order, self.jump = out_of_order, jump
@@ -146,7 +146,7 @@ class TopicTimes:
 
 
 def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
-    """Cut sorted stamps where a year passes."""
+    """Split sorted stamps at gaps of more than a year."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
@@ -160,7 +160,7 @@ def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
 
 
 def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
-    """Join runs that overlap or lie within a year of each other; sorted by time.
+    """Join runs that overlap or are within a year of each other; sorted by time.
 
     The gap between two runs that do not overlap counts as a gap of the joined one, whose density has at most `most`
     bins.
@@ -182,12 +182,12 @@ def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
     return joined
 
 
-def _both(one: Density | None, other: Density | None, most: int = MAX_BINS) -> Density | None:
+def _both(one: MessageDensity | None, other: MessageDensity | None, most: int = MAX_BINS) -> MessageDensity | None:
     return add_up((one, other), most=most) if one is not None and other is not None else None
 
 
 def bulk(runs: Iterable[StampRun]) -> StampRun | None:
-    """Return the island with the most messages over all topics; of equals, the latest. None without any message."""
+    """Return the island with the most messages over all topics, the latest of equals; None without messages."""
     bare = [StampRun(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
     return max(join(bare), key=lambda run: (run.count, run.first_ns), default=None)
 
@@ -207,7 +207,7 @@ def within(runs: Iterable[StampRun], island: StampRun | None) -> StampRun | None
 
 @dataclass(frozen=True)
 class ChunkEntries:
-    """The index of one topic in one chunk: log times, and where the messages begin in the uncompressed chunk."""
+    """The index of one topic in one chunk: log times, and offsets in the uncompressed chunk."""
 
     topic: str
     stamps: Sequence[int]
@@ -230,7 +230,7 @@ class Timeline:
         return times
 
     def rename(self, old: str, new: str) -> None:
-        """Give the messages of a topic to another one, as if they stood behind those that it has."""
+        """Move the messages of a topic to another one, after those that it has."""
         times = self.topics.pop(old, None)
         if times is not None:
             self.topic(new).append(times)
@@ -268,7 +268,7 @@ class Timeline:
         self.bound()
 
     def bound(self) -> None:
-        """Keep no more stamps waiting than `MAX_PENDING_STAMPS`, though nothing is known of those to come."""
+        """Keep at most `MAX_PENDING_STAMPS` stamps pending."""
         if self._pending > MAX_PENDING_STAMPS:
             self._settle_older_half()
 

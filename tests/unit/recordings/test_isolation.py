@@ -141,7 +141,7 @@ def test_a_file_that_takes_too_long(tmp_path: Path) -> None:
     assert caught.value.kind is FailureKind.time
 
 
-def test_a_crash_is_told_with_its_signal() -> None:
+def test_a_crash_is_reported_with_its_signal() -> None:
     with pytest.raises(SummaryFailed) as caught:
         read_answer(b"", b"", -signal.SIGSEGV)
     assert (caught.value.kind, caught.value.signal) == (FailureKind.crash, signal.SIGSEGV)

@@ -15,6 +15,7 @@ from kleinkram.recordings import (
     Content,
     Depth,
     FileSource,
+    Recording,
     RecordingFormat,
     RecordingSummary,
     parse_rosbag2_metadata,
@@ -24,7 +25,6 @@ from kleinkram.recordings.errors import NotARecording
 from kleinkram.recordings.formats.documents import MAX_LINE_BYTES, read_lines
 from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.trajectories import parse_stamp
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
@@ -46,10 +46,10 @@ def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
 
 def facts(summary: RecordingSummary) -> dict[str, object]:
     """Facts by name; those of which there are several as a list."""
-    found: dict[str, list[object]] = {}
+    actual: dict[str, list[object]] = {}
     for fact in summary.facts:
-        found.setdefault(fact.name, []).append(fact.value)
-    return {name: values[0] if len(values) == 1 else values for name, values in found.items()}
+        actual.setdefault(fact.name, []).append(fact.value)
+    return {name: values[0] if len(values) == 1 else values for name, values in actual.items()}
 
 
 def test_real_trajectories(recordings_dir: Path) -> None:
@@ -150,7 +150,7 @@ def test_yaml_and_calibrations() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "actual"),
     [
         ('{"a": 1, "b": [2]}', {"keys": 2, "key": ["a", "b"]}),
         ("[1, 2, 3]", {"items": 3}),
@@ -159,9 +159,9 @@ def test_yaml_and_calibrations() -> None:
         ('{"long": "' + "x" * 10_000 + '"}', {"keys": 1, "key": "long"}),
     ],
 )
-def test_json(text: str, found: dict[str, object]) -> None:
+def test_json(text: str, actual: dict[str, object]) -> None:
     summary = summarise_text(text, "a.json")
-    assert (summary.format, summary.content, facts(summary)) == (RecordingFormat.json, Content.opaque, found)
+    assert (summary.format, summary.content, facts(summary)) == (RecordingFormat.json, Content.opaque, actual)
     assert summary.problems == ()
 
 
@@ -215,9 +215,9 @@ def test_stamps_of_a_trajectory_may_be_in_any_unit(
     make_case: Callable[[str], Path], name: str, unit: str | None
 ) -> None:
     summary = summarise_text((make_case("20A") / name).read_text(), name)
-    found = facts(summary)
-    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
-    assert found.get("stamp_unit") == unit
+    actual = facts(summary)
+    assert (actual["poses"], actual["path_length"], actual["duration"]) == (100, 9.9, 9.9)
+    assert actual.get("stamp_unit") == unit
     assert [problem.code for problem in summary.problems] == (["stamp-unit"] if unit else [])
     start_ns = 1_698_132_949_012_009_859
     assert summary.start_ns == (start_ns if unit != "us" else start_ns // 1000 * 1000)
@@ -238,10 +238,10 @@ def test_poses_of_euroc(columns: int, header: str) -> None:
     rows = [[start_ns + n * 10**8, n * 0.1, 0, 0, 1, 0, 0, 0, *[0.5] * 9][:columns] for n in range(100)]
     lines = [",".join(map(str, row)) for row in rows]
     summary = summarise_text("\n".join([",".join(names)] * bool(header) + lines) + "\n", "data.csv")
-    found = facts(summary)
+    actual = facts(summary)
     assert summary.format is RecordingFormat.csv
-    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
-    assert (found["columns"], found["rows"]) == (columns, 100)
+    assert (actual["poses"], actual["path_length"], actual["duration"]) == (100, 9.9, 9.9)
+    assert (actual["columns"], actual["rows"]) == (columns, 100)
     assert (summary.start_ns, summary.end_ns) == (start_ns, start_ns + 99 * 10**8)
     assert summary.problems == ()
 

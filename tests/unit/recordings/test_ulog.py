@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import Content, FileSource, RecordingFormat, summarise
+from kleinkram.recordings import Content, FileSource, Recording, RecordingFormat, TooCostly, summarise
 from kleinkram.recordings.formats.ulog import SYNC_MAGIC, as_ros1_definition
 from kleinkram.recordings.inspect import inspect_paths
-from kleinkram.recordings.reading import Recording, TooCostly
 
 from .agreement import accounts_of, disagreements
 from .corpus import Entry, params
@@ -68,8 +67,8 @@ def test_real_flight_log(entry: Entry, recordings_dir: Path) -> None:
     assert {problem.code for problem in summary.problems} <= {"stamps-before-start"}
     assert bool(summary.problems) == (entry.name == "other/px4_sample.ulg")
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
-    found = [(t.name, t.message_type, t.count) for t in summary.topics]
-    assert found == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
+    actual = [(t.name, t.message_type, t.count) for t in summary.topics]
+    assert actual == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
     assert facts(summary)["sys_name"] == "PX4"
 
 
@@ -140,8 +139,8 @@ def test_messages_are_decoded_by_their_format(tmp_path: Path) -> None:
 def test_topics_and_times_are_selected(tmp_path: Path) -> None:
     with Recording.open(write(tmp_path, attitude_log(100))) as recording:
         start = (START_US + 10_000) * 1000
-        found = list(recording.messages("attitude#1", start=start, end=start + 10_000_000))
-    assert [message.value.q[3] for message in found] == [11, 13, 15, 17, 19]
+        actual = list(recording.messages("attitude#1", start=start, end=start + 10_000_000))
+    assert [message.value.q[3] for message in actual] == [11, 13, 15, 17, 19]
 
 
 def test_a_topic_is_a_table(tmp_path: Path) -> None:

@@ -47,8 +47,8 @@ def test_real_files(entry: Entry, recordings_dir: Path, temporary: Path) -> None
     assert scanned.message_count == expected["messages"]
     assert {*expected["compression"]} <= {*scanned.compression} <= {"file-zstd", "zstd"}
     assert (scanned.start_ns, scanned.end_ns) == (expected["start_ns"], expected["end_ns"])
-    found = [(t.name, t.message_type, t.count, t.message_encoding) for t in scanned.topics]
-    assert found == sorted((t["topic"], t["type"], t["count"], t["encoding"]) for t in expected["topics"])
+    actual = [(t.name, t.message_type, t.count, t.message_encoding) for t in scanned.topics]
+    assert actual == sorted((t["topic"], t["type"], t["count"], t["encoding"]) for t in expected["topics"])
     assert scanned.problems == ()
     assert [*temporary.iterdir()] == []
 
@@ -65,7 +65,7 @@ def test_several_frames_and_one_to_skip(database: bytes) -> None:
 def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
     """Whatever came out until the cut is read."""
     packed = zstandard.ZstdCompressor(level=1, write_checksum=checksum).compress(database)
-    found = []
+    actual = []
     for tenth in range(1, 10):
         cut = len(packed) * tenth // 10
         summary = scan_bytes(packed[:cut], "a.db3.zstd")
@@ -73,9 +73,9 @@ def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
         assert summary.reason is not None
         assert summary.reason.startswith(f"its zstd data breaks off at byte {cut}")
         assert summary.compression in ((), ("file-zstd",))
-        found.append(summary.message_count or 0)
-    assert found == sorted(found)
-    assert 1000 < found[-1] < 3000
+        actual.append(summary.message_count or 0)
+    assert actual == sorted(actual)
+    assert 1000 < actual[-1] < 3000
     assert scan_bytes(packed[:-1], "a.db3.zstd").content is Content.recovered
     assert [*temporary.iterdir()] == []
 
@@ -100,13 +100,13 @@ def test_damaged_data_say_where(database: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("inside", "told"),
+    ("inside", "named"),
     [(b"just words", "inside is unknown"), (b"a,b\n1,2\n3,4\n", "inside is csv"), (b"", "inside is empty")],
 )
-def test_what_is_no_recording_is_not_unpacked(inside: bytes, told: str) -> None:
+def test_what_is_no_recording_is_not_unpacked(inside: bytes, named: str) -> None:
     summary = scan_bytes(zstandard.compress(inside), "notes.zst")
     assert (summary.format, summary.content) == (RecordingFormat.zstd, Content.opaque)
-    assert told in (summary.reason or "")
+    assert named in (summary.reason or "")
 
 
 def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:

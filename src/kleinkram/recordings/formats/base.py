@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol
 
+from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import ProblemLog
-from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.member import Member
+from kleinkram.recordings.errors import SourceError, TooCostly
+from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
+from kleinkram.recordings.merge import MessagePiece
+from kleinkram.recordings.messages import Channel, Selection
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
@@ -26,14 +30,16 @@ MAX_UNASKED_BYTES = 2**30
 
 
 class Head(NamedTuple):
-    """The first bytes of a file. `path`: where it is on this machine; None: nowhere."""
+    """The first bytes of a file. `path`: where it is on this machine, or None."""
 
     data: bytes
     path: Path | None = None
 
 
 class Summarise(Protocol):
-    """Reads as little of a file as it can; one that must be read whole and has more than `most_bytes` is `pending`."""
+    """Summarises a file by reading as little as possible; `pending` if it must be read whole and is larger than
+    `most_bytes`.
+    """
 
     def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
         """Raise `SourceError` where bytes cannot be read, and nothing else."""
@@ -62,7 +68,7 @@ class RecordingFile:
 
 @dataclass(frozen=True)
 class OpenContext:
-    """What opening a file may cost, and what is known of the recording.
+    """Limits for opening a file, and what is known of its recording.
 
     Attributes:
         stack: closes what is opened here, with the recording.
@@ -119,3 +125,94 @@ class Format:
     summarise: Summarise | None = None
     open: Callable[[RecordingFile, OpenContext], Member] | None = None
     refusal: str = ""
+
+
+@dataclass(frozen=True)
+class MemberContents:
+    """What a file's index says; None: unknown.
+
+    Attributes:
+        channels: by their number in the file.
+        counts: messages by channel; a channel that is not among them has none.
+        start_ns: earliest log time, inclusive.
+        end_ns: latest log time, inclusive.
+    """
+
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int] | None
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+
+
+class Member(Protocol):
+    """One file of a recording."""
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the file's index says."""
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """The summary, if the file was scanned to be opened."""
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the parts that may hold selected messages, by first time."""
+
+
+class ChunkedMember:
+    """A file made of chunks.
+
+    Args of `__init__`:
+        table: its chunks.
+        summary: what is in it, if it was scanned to be opened.
+        with_index_check: whether the table comes from the file's own index, which may be wrong.
+        claimed_span: first and last time of all messages, as the statistics say.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        chunk_format: ChunkFormat,
+        table: ChunkTable,
+        contents: MemberContents,
+        problem_log: ProblemLog,
+        *,
+        summary: RecordingSummary | None = None,
+        with_index_check: bool = False,
+        claimed_span: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
+        if check is not None and contradicts_itself(table, claimed_span):
+            check.doubt()
+            check.settle()
+        self._contents = contents
+        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
+        self.summary = summary
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the index says; once the index turned out wrong, the span by its message indexes."""
+        check = self._file.check
+        if check is None or check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the chunks that may hold selected messages, by first time."""
+        return pieces_of(self._file, selection, order)
+
+    def doubt_index(self) -> None:
+        """Note that the file's index is wrong."""
+        if self._file.check is not None:
+            self._file.check.doubt()
+
+
+def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
+    """Check that a file may be read whole; `most_bytes` None: whatever its size.
+
+    Raises:
+        TooCostly: it has more bytes.
+    """
+    if most_bytes is not None and source.size_bytes > most_bytes:
+        raise TooCostly(source.name, source.size_bytes, why)

@@ -1,4 +1,4 @@
-"""Lines of a text of any size, read forward: one block and one line are held, and a line that is too long is cut."""
+"""Text files: lines of any text, YAML and JSON, and how text formats are recognised."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_LINE_BYTES = 64 * 2**10
 
 
 def read_lines(reader: SequentialReader) -> Iterator[bytes]:
-    """Yield lines without their end, empty ones too; of a longer line than `MAX_LINE_BYTES` only its beginning.
+    """Yield lines without their end, empty ones too; at most `MAX_LINE_BYTES` of each.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -48,7 +48,7 @@ _KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
 
 
 def describe_yaml(reader: SequentialReader) -> RecordingSummary:
-    """Count the keys at the top of a YAML file; reads it to its end.
+    """Count the top-level keys of a YAML file.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -68,7 +68,7 @@ def describe_yaml(reader: SequentialReader) -> RecordingSummary:
 
 
 def describe_json(reader: SequentialReader) -> RecordingSummary:
-    """Say what is at the top of a JSON file of at most `MAX_JSON_BYTES`; a larger one is only recognised.
+    """Count the top-level items of a JSON file of at most `MAX_JSON_BYTES`.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -104,7 +104,7 @@ _TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
 
 @lru_cache(maxsize=1)
 def sniff_text(head: bytes) -> RecordingFormat:
-    """Return the format of a text by its first bytes; unknown where it is none."""
+    """Return the format of a text by its first bytes; unknown if it is none."""
     head = head[:HEAD_BYTES]
     text = head.decode("utf-8", "ignore")
     if b"\0" in head or len(text.encode()) < len(head) - 3:
@@ -160,4 +160,4 @@ JSON = text_format(RecordingFormat.json, "JSON, not a recording", describe_json)
 ROSBAG2_METADATA = text_format(
     RecordingFormat.rosbag2_metadata, "the metadata of a rosbag2 recording, not a recording by itself"
 )
-UNKNOWN = text_format(RecordingFormat.unknown, "not a recording that we know")
+UNKNOWN = text_format(RecordingFormat.unknown, "not a known recording format")

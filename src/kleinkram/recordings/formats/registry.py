@@ -1,4 +1,4 @@
-"""All formats, and which of them a file is of: by its content, never by its name.
+"""The registry of formats. A file is recognised by its content, never by its name.
 
 Recognising reads at most 64 KB at the start of a file. A new format is one line in `FORMATS`.
 """
@@ -9,11 +9,10 @@ from pathlib import Path, PurePosixPath
 
 from kleinkram.recordings.formats.base import HEAD_BYTES, LONG_HEAD_BYTES, Format, Head
 from kleinkram.recordings.formats.documents import JSON, ROSBAG2_METADATA, UNKNOWN, YAML
-from kleinkram.recordings.formats.mcap.format import MCAP
+from kleinkram.recordings.formats.mcap.format import MCAP, SVO2
 from kleinkram.recordings.formats.rosbag1.format import ROSBAG1, ROSBAG1_OLD
 from kleinkram.recordings.formats.rosbag2.database import is_database
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
-from kleinkram.recordings.formats.svo2 import SVO2
 from kleinkram.recordings.formats.trajectories import CSV, KITTI, TUM
 from kleinkram.recordings.formats.ulog import ULOG
 from kleinkram.recordings.formats.zstd_file import ZSTD
@@ -85,11 +84,11 @@ def sniff(source: Source) -> RecordingFormat:
 
 
 def misleading_extension(name: str, file_format: Format) -> Problem | None:
-    """Return a problem if the extension of the name promises another content than there is."""
+    """Return a problem if the extension promises another format than the content has."""
     extension = PurePosixPath(name).suffix.lower()
     promised = [one for one in FORMATS if extension in one.extensions]
     is_right = file_format in promised if promised else file_format.is_text or extension not in _TEXT_EXTENSIONS
     if is_right or file_format is EMPTY:
         return None
-    what = "of no kind that we know" if file_format is UNKNOWN else f"that of {file_format.kind.value}"
+    what = "of an unknown format" if file_format is UNKNOWN else f"that of {file_format.kind.value}"
     return Problem("extension-lies", name, f"it is named '{extension}', but its content is {what}")

@@ -1,4 +1,4 @@
-"""Trajectories of TUM, KITTI and EuRoC: how many poses, from when to when, how long a way. One pass, nothing kept.
+"""Trajectories (TUM, KITTI, EuRoC) and tables (CSV): poses, times and path length, in one pass.
 
 TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp that
 is not 0 tells: the largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
@@ -78,7 +78,7 @@ def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> Reco
 
 
 def trajectory_facts(trajectory: Trajectory) -> list[Fact]:
-    """Return how many poses there are, how long the way is, and from when to when."""
+    """Return number of poses, path length and duration."""
     facts = [Fact("poses", trajectory.poses), Fact("path_length", round(trajectory.length_m, 3), "m")]
     if trajectory.start_ns is not None and trajectory.end_ns is not None:
         facts.append(Fact("duration", round((trajectory.end_ns - trajectory.start_ns) / 1e9, 6), "s"))
@@ -88,7 +88,7 @@ def trajectory_facts(trajectory: Trajectory) -> list[Fact]:
 
 
 def _add(trajectory: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
-    """Add a pose; False if the line is none."""
+    """Add a pose; return whether the line is one."""
     cells = text.split()
     if len(cells) != _COLUMNS[kind]:
         return False
@@ -105,7 +105,7 @@ def _add(trajectory: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
 
 
 def add_stamped_pose(trajectory: Trajectory, cells: list[bytes]) -> bool:
-    """Add a pose of 8 cells: stamp, place, quaternion; False if they are none."""
+    """Add a pose of 8 cells (stamp, position, quaternion); return whether they are one."""
     try:
         numbers = [float(cell) for cell in cells]
         if not trajectory.unit and numbers[0]:
@@ -205,7 +205,7 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
         if not line.strip():
             continue
         if columns == 0:
-            # The names of EuRoC's tables stand behind a comment sign.
+            # The names of EuRoC's tables are behind a comment sign.
             cells = _cells(line.lstrip(b"#"))
             columns = len(cells)
             if line.startswith(b"#") or not any(map(_is_number, cells)):
@@ -237,7 +237,7 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
 
 
 def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
-    """Say whether a table is one of poses: by the names of its columns, or without them by a quaternion of length 1."""
+    """Return whether a table holds poses, by its column names, or by a unit quaternion."""
     if columns < _POSE_COLUMNS:
         return False
     if names:
@@ -250,17 +250,17 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
 
 
 def _has(name: str, axis: str) -> bool:
-    """Say whether a column is a place along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
+    """Return whether a column is a position along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
     return bool(re.match(rf"(p|t|pos|position|translation|)([_.]\w+)?[_.]?{axis}\b", name, re.I))
 
 
 def _is_turn(name: str) -> bool:
-    """Say whether a column is a part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
+    """Return whether a column is part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
     return bool(re.match(r"(q|quat|quaternion|rot|rotation|orientation)([_.]\w+)?[_.]?[wxyz]\b", name, re.I))
 
 
 def _unit_in(names: list[str]) -> str:
-    """Return the unit that the first column's name gives; empty: the first stamp tells."""
+    """Return the unit in the first column's name; empty if there is none."""
     match = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
     return match[1] if match else ""
 

@@ -23,9 +23,15 @@ from kleinkram.recordings.chunk_table import ChunkTable, StoredChunk
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
@@ -219,7 +225,7 @@ class _UlogScanner:
         return scan
 
     def _step(self) -> None:
-        """Pass over the messages at hand, or over damage."""
+        """Pass over the messages in memory, or over damage."""
         stream = self._stream
         at_hand = stream.ahead(max(WINDOW // 4, _MAX_MESSAGE))
         end = stream.at + at_hand
@@ -341,7 +347,7 @@ class _UlogScanner:
     def _resync(self) -> None:
         """Pass over damage, up to the next sync message or data that were appended."""
         stream, start = self._stream, self._stream.position
-        self.scan.losses.note(Malformed(f"byte {start}", "something that is no message"))
+        self.scan.losses.note(Malformed(f"byte {start}", "invalid data instead of a message"))
         boundary = self._next_boundary()
         stop = stream.size_bytes if boundary is None else boundary
         while stream.position < stop:
@@ -466,7 +472,7 @@ class _MessageParser:
     start_us: int
 
     def __call__(self, content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-        """Return the wanted messages of whole ULog messages, in the order in which they stand."""
+        """Return the wanted messages of whole ULog messages, in the order in which they are."""
         view = bytes(content)
         messages: Block = []
         at = 0

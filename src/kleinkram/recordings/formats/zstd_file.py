@@ -1,4 +1,4 @@
-"""A recording that is compressed as a whole (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): unpacked, then read like others.
+"""Files that are compressed as a whole (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): decompressed, then read like others.
 
 What is inside goes through a temporary file, because every format is better read with its size known and more than
 once. The window and the output are bounded; where the compressed data breaks off, what came out until there is read.
@@ -16,9 +16,8 @@ import zstandard
 
 from kleinkram.recordings.compression import ZstdFrames, open_decompressed
 from kleinkram.recordings.errors import Malformed, NotARecording
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW, WINDOW
-from kleinkram.recordings.member import Member, check_cost
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
@@ -31,7 +30,7 @@ Scan = Callable[[SequentialReader], RecordingSummary]
 
 
 class _ZstdReader:
-    """What comes out of a zstd file, in order, up to its end or to where it is damaged.
+    """Decompresses a zstd file, up to its end or to where it is damaged.
 
     Attributes:
         fault: once nothing more comes out, why it is not all, in words.
@@ -83,14 +82,14 @@ class _ZstdReader:
 
 
 class _Packed:
-    """The little of a file that zstandard's reader asks for."""
+    """File-like input of zstandard's reader."""
 
     def __init__(self, read: Callable[[int], bytes]) -> None:
         self.read = read
 
 
 def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
-    """Read a file that is compressed as a whole; `scan` reads what is inside, under its name without `.zstd`.
+    """Read a compressed file; `scan` reads what is inside, under its name without `.zstd`.
 
     `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
     `recovered` as far as it unpacks; one that unpacks to more than `most_bytes`, or
@@ -133,7 +132,7 @@ def _with_fault(summary: RecordingSummary, unpacking: _ZstdReader) -> RecordingS
 
 
 def is_recording(file_format: Format) -> bool:
-    """Say whether files of a format hold messages."""
+    """Return whether files of a format hold messages."""
     return file_format.open is not None or file_format.kind is RecordingFormat.svo2
 
 
@@ -167,7 +166,7 @@ def _format_inside(source: Source) -> Format | None:
 
 
 def _open(file: RecordingFile, context: OpenContext) -> Member:
-    """Decompress a file to a temporary one, up to its end or to where it is damaged, and open that."""
+    """Decompress a file to a temporary one, as far as possible, and open that."""
     from kleinkram.recordings.formats import registry  # which imports this module
 
     source = file.source

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row
 
 from kleinkram.recordings.density import add_up, unpack
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 from kleinkram.recordings.timeline import StampRun, join
 
 _ADDED_AT_ONCE = 64
@@ -35,7 +35,7 @@ class Merged:
     rate_hz: float | None
     longest_gap_ns: int | None
     stored_bytes: int | None
-    density: Density | None
+    density: MessageDensity | None
 
 
 async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[Merged]:
@@ -65,7 +65,7 @@ class _One:
         self._recording_id: uuid.UUID | None = None
         self._runs: list[StampRun] = []
         self._whole = _Whole()
-        self._densities: list[Density] = []
+        self._densities: list[MessageDensity] = []
 
     def add(self, row: Row[Any]) -> None:
         if row.recording_id != self._recording_id:
@@ -128,7 +128,7 @@ class _Whole:
         self.longest_gap_ns = max(self.longest_gap_ns, run.longest_gap_ns)
 
 
-def _added(densities: Sequence[Density]) -> Iterator[Density]:
+def _added(densities: Sequence[MessageDensity]) -> Iterator[MessageDensity]:
     total = add_up(densities)
     if total is not None:
         yield total

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import (
     Decoder,
     NoSuchField,
@@ -24,7 +25,6 @@ from kleinkram.recordings.decoding import (
     to_plain,
     typed_rows,
 )
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\

@@ -80,7 +80,7 @@ def test_importing_decoding_imports_no_optional_library() -> None:
 
 _TO_ARROW = """
 import sys
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 with Recording.open(sys.argv[1]) as recording:
     for topic in ("/imu/data", "/odom", "/gps/fix"):
         assert recording.to_arrow(topic).num_rows > 20

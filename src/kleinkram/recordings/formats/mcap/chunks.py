@@ -1,4 +1,4 @@
-"""The messages of an MCAP one after the other, as fast as Python goes: most of the time of a scan passes here."""
+"""Messages in MCAP chunks: the fast loops of scans, and parsing of selected messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kleinkram.recordings.chunk_table import ChunkTable, Row, StoredChunk
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, McapFacts
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
 from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
@@ -24,6 +24,7 @@ from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ByteStream, LookaheadStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)  # faster to compare with than a member of an enum
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
 
 
@@ -31,25 +32,25 @@ _INDEXED_HEAD = struct.Struct("<B8xH4xQ")
 
 
 def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], offsets: array[int]) -> bool:
-    """Say whether a message of a channel with each of these log times stands at each of these places of a chunk."""
+    """Return whether the messages of a channel with these log times are at these offsets of a chunk."""
     if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
         return False
     heads = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
-    return all(map(eq, heads, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
+    return all(map(eq, heads, zip(repeat(_MESSAGE_OPCODE), repeat(channel_id), stamps)))  # repeat never ends
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
-    """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
+    """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
     Returns:
-        Where that stands, and where the last message begins; twice the same without any message.
+        Where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
     last_head, start = end - size, at
     while at <= last_head:
         opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
         after = at + 9 + length
-        if opcode != MESSAGE or after > end or length < fixed:
+        if opcode != _MESSAGE_OPCODE or after > end or length < fixed:
             break
         batch[channel_id].extend((log_time, publish_time, after - at))
         start, at = at, after
@@ -57,11 +58,11 @@ def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, i
 
 
 _U64 = struct.Struct("<Q")
-_DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
+_DEFINITIONS = {Opcode.SCHEMA: records.read_schema, Opcode.CHANNEL: records.read_channel}
 
 
 class ChunkHead(NamedTuple):
-    """The fixed fields of a chunk record; `data_start` counts from the record's own start."""
+    """The fixed fields of a chunk record; `data_start` counts from the start of the record."""
 
     compression: str
     uncompressed: int
@@ -74,7 +75,7 @@ class ChunkHead(NamedTuple):
 
 
 class McapChunkContents(NamedTuple):
-    """What a walk through the records of a chunk came to.
+    """The result of reading the records of a chunk.
 
     Attributes:
         walked: bytes of records that could be followed.
@@ -88,7 +89,7 @@ class McapChunkContents(NamedTuple):
 
 
 def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
-    """Read the head of a chunk record whose lengths are known to agree, or that was never finished."""
+    """Read the head of a chunk record whose lengths agree, or that was never finished."""
     (length,) = _U64.unpack_from(data, at + 1)
     at += RECORD_HEAD.size
     first_ns, last_ns, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
@@ -129,7 +130,7 @@ def notify(facts: McapFacts, place: MessagePlace, batch: Batch) -> None:
 
 
 def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkContents:
-    """Add the messages of records to the batch, as far as they can be followed."""
+    """Add the messages of records to the batch, up to the first damage."""
     at, end = 0, len(raw)
     while True:
         at, _ = walk_messages(raw, at, end, batch)
@@ -139,7 +140,7 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkConten
             return McapChunkContents(at, Malformed(f"byte {at}", "it ends within a record"))
         opcode, length = RECORD_HEAD.unpack_from(raw, at)
         body = at + RECORD_HEAD.size
-        if opcode in (0, records.MESSAGE) or body + length > end:
+        if opcode in (0, Opcode.MESSAGE) or body + length > end:
             return McapChunkContents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
@@ -150,7 +151,7 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkConten
 
 
 def read_large_message(stream: LookaheadStream) -> tuple[int, tuple[int, int, int]]:
-    """Return channel and row of the next message, of which only the head is at hand.
+    """Return channel and row of the next message, of which only the head is in the window.
 
     Raises:
         Malformed: it is too short to be one.
@@ -169,7 +170,7 @@ _MOST_OF_RUN = 8192
 
 
 class McapRecord(NamedTuple):
-    """A record; of a message `head` are the fields before its data, of a definition the whole body, else nothing."""
+    """A record. `head`: of a message, the fields before its data; of a definition, the body; else empty."""
 
     opcode: int
     start: int
@@ -185,7 +186,7 @@ def open_chunk(stream: ByteStream) -> StoredChunk:
     """
     start = stream.position
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode != records.CHUNK:
+    if opcode != Opcode.CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {opcode} where a chunk should be")
     return read_chunk_fields(stream, length)
 
@@ -212,7 +213,7 @@ def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
 
 
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
-    """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
+    """Return the messages that the indexes after a chunk list; None if there are none, or they cannot be read.
 
     Raises:
         SourceError: as `Source.read`.
@@ -225,7 +226,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
         while not stream.at_end():
             where = f"byte {stream.position}"
             opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-            if opcode != records.MESSAGE_INDEX:
+            if opcode != Opcode.MESSAGE_INDEX:
                 return None
             channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
             messages.add_index(channel_id, stamps)
@@ -235,14 +236,14 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
 
 
 def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the wanted messages of records, in the order in which they stand.
+    """Return the selected messages of records, in file order.
 
     Raises:
         Malformed: a record reaches beyond the content.
     """
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
-    unpack, message, channel_of, new = _MESSAGE.unpack_from, records.MESSAGE, channels.get, tuple.__new__
+    unpack, message, channel_of, new = _MESSAGE.unpack_from, _MESSAGE_OPCODE, channels.get, tuple.__new__
     at, size = 0, len(view)
     last = size - _MESSAGE.size
     messages: Block = []
@@ -264,17 +265,17 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
 
 
 def _is_short_tail(view: bytes, at: int) -> bool:
-    """Say whether what is left, less than a message needs, is whole records."""
+    """Return whether the rest, shorter than a message, is whole records."""
     while at + records.RECORD_HEAD.size <= len(view):
         opcode, length = records.RECORD_HEAD.unpack_from(view, at)
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             return False
         at += records.RECORD_HEAD.size + length
     return at == len(view)
 
 
 def read_records(stream: ByteStream) -> Iterator[McapRecord]:
-    """Yield the records of a stream; what the caller did not take of one is skipped.
+    """Yield the records of a stream; unread bytes of one are skipped.
 
     Raises:
         Malformed: no record begins where one should, or the last one is cut.
@@ -287,11 +288,11 @@ def read_records(stream: ByteStream) -> Iterator[McapRecord]:
         if opcode == 0:
             raise Malformed(f"byte {start}", no_record(record_head))
         head = b""
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             if length < MESSAGE_FIELDS.size:
                 raise Malformed(f"byte {start}", f"a message of {length} bytes, too short to be one")
             head = stream.take(MESSAGE_FIELDS.size)
-        elif opcode in (records.SCHEMA, records.CHANNEL):
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             head = stream.take(length)
         yield McapRecord(opcode, start, length, head)
         if stream.position < end:
@@ -299,7 +300,7 @@ def read_records(stream: ByteStream) -> Iterator[McapRecord]:
 
 
 class RunBuilder:
-    """Gathers messages that follow each other without a chunk into rows of about 1 MB."""
+    """Combines adjacent messages outside of chunks into rows of about 1 MB."""
 
     def __init__(self, table: ChunkTable) -> None:
         self._table = table
@@ -309,7 +310,7 @@ class RunBuilder:
         self._count = 0
 
     def add(self, start: int, end: int, channel_id: int, log_ns: int) -> None:
-        """Add a message that stands at [start, end)."""
+        """Add a message that is at [start, end)."""
         if not self._count:
             self._start = start
         elif end - self._start > WINDOW or self._count >= _MOST_OF_RUN:
@@ -321,7 +322,7 @@ class RunBuilder:
         self._count += 1
 
     def close(self) -> None:
-        """End the row that was begun, if any: something else follows."""
+        """End the current row, if there is one."""
         if self._count:
             length = self._end - self._start
             members = self._table.sets.number(self._channels)
@@ -332,17 +333,17 @@ class RunBuilder:
 
 
 def table_of_records(stream: ByteStream) -> ChunkTable:
-    """Return where the messages of a stream stand, up to where it is damaged."""
+    """Return the places of the messages in a stream, up to the first damage."""
     table = ChunkTable()
     builder = RunBuilder(table)
     try:
         for record in read_records(stream):
-            if record.opcode == records.MESSAGE:
+            if record.opcode == Opcode.MESSAGE:
                 channel_id, _, log_ns, _ = MESSAGE_FIELDS.unpack(record.head)
                 end = record.start + records.RECORD_HEAD.size + record.length
                 stream.skip(end - stream.position)
                 builder.add(record.start, end, channel_id, log_ns)
     except Malformed:
-        pass  # whoever wrote the stream has said what is wrong with it
+        pass  # already reported by the writer of the stream
     builder.close()
     return table

@@ -1,7 +1,8 @@
-"""MCAP: summary by index, scan, and messages."""
+"""The MCAP format, and SVO2, which is an MCAP."""
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -10,15 +11,21 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Fi
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import NotIndexed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.mcap import chunks, records
 from kleinkram.recordings.formats.mcap.index import read_index
-from kleinkram.recordings.formats.mcap.records import ChannelRecord, McapFacts
+from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts
 from kleinkram.recordings.formats.mcap.scan import McapScan, scan_records
 from kleinkram.recordings.index_check import wrong_times
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.messages import Channel
-from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
+from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.timeline import Timeline
 from kleinkram.recordings.topic_statistics import (
@@ -36,8 +43,7 @@ from kleinkram.recordings.topic_statistics import (
 
 
 def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise a file that begins with the magic of MCAP; scan it where that is impossible, if it has at most
-    `most_bytes`.
+    """Summarise by the index, or else by a scan of at most `most_bytes`.
 
     Raises:
         SourceError: as `Source.read`.
@@ -58,7 +64,7 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_mcap(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of MCAP. `problems`: found before.
+    """Scan a whole file. `problems`: why its index was not enough.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -67,7 +73,7 @@ def scan_mcap(reader: SequentialReader, problems: Sequence[Problem] = ()) -> Rec
 
 
 def summarise_scan(scan: McapScan, name: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Return the summary of a file that was scanned. `problems`: found before."""
+    """Return the summary of a scan. `problems`: why the index was not enough."""
     all_problems = scan.losses.problems()
     claimed, messages = scan.facts.statistics, scan.counter.messages
     if claimed is not None and claimed.messages != messages and not all_problems:
@@ -94,7 +100,7 @@ def _by_index(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> Rec
 
 
 def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
-    """Say where the statistics differ from the messages of a file that is whole."""
+    """Report where the statistics differ from the messages of an undamaged file."""
     claimed = facts.statistics
     runs = [run for times in timeline.topics.values() for run in times.runs]
     if claimed is None or not runs:
@@ -117,7 +123,7 @@ def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
 
 
 def _judged(summary: RecordingSummary, facts: McapFacts, losses: DamageReport, *, closed: bool) -> RecordingSummary:
-    """Add how far a file can be read, and what is lost of it."""
+    """Add content, reason and loss."""
     messages = summary.message_count or 0
     content = _content(
         losses, closed=closed, holds_anything=bool(messages or facts.attachments or facts.metadata_records)
@@ -183,7 +189,7 @@ def _topic_types(facts: McapFacts) -> Mapping[str, list[TopicType]]:
 
 
 def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open an MCAP by its index; one without is scanned once, and what is broken in it is noted.
+    """Open by the index, or else by a scan.
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.
@@ -245,4 +251,36 @@ MCAP = Format(
     scan=scan_mcap,
     summarise=summarise_mcap,
     open=open_mcap,
+)
+
+
+_LIBRARY_WORD = b"stereolabs"
+_MCAP_HEADER_BYTES = 64
+_CAMERA = re.compile(r"Camera_SN(?P<serial>\d{1,20})/(?P<what>\w+)")
+
+
+def as_svo2(summary: RecordingSummary) -> RecordingSummary:
+    """Return an MCAP summary as that of an SVO2, with cameras and frames as facts."""
+    facts: list[Fact] = []
+    for topic in summary.topics:
+        match = _CAMERA.fullmatch(topic.name)
+        if match is not None and match["what"] == "side_by_side":
+            facts.append(Fact("camera_serial", match["serial"]))
+            if topic.count is not None:
+                facts.append(Fact("frames", topic.count))
+    return replace(summary, format=RecordingFormat.svo2, facts=(*facts, *summary.facts))
+
+
+def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+    return as_svo2(summarise_mcap(source, most_bytes=most_bytes))
+
+
+SVO2 = Format(
+    RecordingFormat.svo2,
+    lambda head: head.data.startswith(MAGIC) and _LIBRARY_WORD in head.data[len(MAGIC) :][:_MCAP_HEADER_BYTES],
+    "a recording of a ZED camera (SVO2)",
+    extensions=(".svo2", ".mcap"),
+    scan=lambda reader: as_svo2(scan_mcap(reader)),
+    summarise=_summarise,
+    refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
 )

@@ -1,4 +1,4 @@
-"""Reading an MCAP from its first byte to its last: every record, every chunk, every CRC.
+"""Scans an MCAP from the first byte to the last: every record, chunk and CRC.
 
 Holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out), keeps no message, and
 goes on behind damage: behind a chunk that cannot be believed, and, where the records themselves break off, at the next
@@ -8,7 +8,7 @@ place where one can begin. What is left out on the way is measured.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
@@ -17,7 +17,7 @@ from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import points_at_messages, walk_messages
-from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import (
     LOOK,
     fault,
@@ -41,20 +41,20 @@ from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
 _U32 = struct.Struct("<I")
-_NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
-_READERS = {
-    records.HEADER: records.read_header,
-    records.SCHEMA: records.read_schema,
-    records.CHANNEL: records.read_channel,
-    records.STATISTICS: records.read_statistics,
-    records.CHUNK_INDEX: records.read_chunk_index,
-    records.METADATA: records.read_metadata,
+_NAMES: dict[int, str] = {Opcode.MESSAGE: "a message", Opcode.CHUNK: "a chunk", Opcode.ATTACHMENT: "an attachment"}
+_READERS: dict[int, Callable[[McapFacts, bytes, str], None]] = {
+    Opcode.HEADER: records.read_header,
+    Opcode.SCHEMA: records.read_schema,
+    Opcode.CHANNEL: records.read_channel,
+    Opcode.STATISTICS: records.read_statistics,
+    Opcode.CHUNK_INDEX: records.read_chunk_index,
+    Opcode.METADATA: records.read_metadata,
 }
 
 
 @dataclass
 class McapScan:
-    """What a scan found.
+    """The result of a scan.
 
     Attributes:
         closed: the file ends as its writer meant it to.
@@ -109,7 +109,7 @@ class _McapScanner:
         return scan
 
     def _compare_index(self) -> None:
-        """Compare the chunk index, if the file has one, with the chunks that were found."""
+        """Compare the chunk index with the chunks that were read."""
         facts, losses, claims = self.scan.facts, self.scan.losses, new_table()
         for place in facts.table.rows:
             times = place.first_ns, place.last_ns
@@ -124,7 +124,7 @@ class _McapScanner:
         compare_with_scan(claims, self._actual_chunks, facts.table.sets, facts.index_faults, is_damaged=is_damaged)
 
     def _step(self) -> None:
-        """Pass over some messages, over one other record, or over damage."""
+        """Read some messages, one other record, or skip damage."""
         stream = self._stream
         stream.ahead(LOOK)
         if self._is_disguised():
@@ -144,7 +144,7 @@ class _McapScanner:
             self._check(opcode, length, where)
             self._pass_record(opcode, length, where)
         except Cut as cut:
-            if opcode == records.CHUNK:
+            if opcode == Opcode.CHUNK:
                 self._read_cut_chunk(cut, min(RECORD_HEAD.size + length, stream.left))
             else:
                 self._resync(cut)
@@ -152,7 +152,7 @@ class _McapScanner:
             self._resync(error)
 
     def _is_disguised(self) -> bool:
-        """Pass over a record of another kind that claims to be a message, if one stands here."""
+        """Skip a record of another kind that claims to be a message, if there is one."""
         stream, losses = self._stream, self.scan.losses
         behind_chunk = self._listed is not None or self._is_resynced
         if not resync.is_disguised(stream.window, stream.at, stream.left, behind_chunk=behind_chunk):
@@ -167,35 +167,35 @@ class _McapScanner:
         stream = self._stream
         if wrong := fault(stream.window, stream.at, stream.left):
             raise Malformed(where, wrong)
-        if opcode == records.CHUNK and resync.is_unfinished_chunk(stream.window, stream.at):
+        if opcode == Opcode.CHUNK and resync.is_unfinished_chunk(stream.window, stream.at):
             raise Cut(where, "a chunk was begun here and never finished: its lengths were never filled in")
         if length > (left := stream.left - RECORD_HEAD.size):
             name = _NAMES.get(opcode, "a record")
             raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
 
     def _pass_record(self, opcode: int, length: int, where: str) -> None:
-        """Read a record that is there as a whole.
+        """Read a whole record.
 
         Raises:
             Malformed: it cannot be one; nothing was passed over.
         """
         stream, total = self._stream, RECORD_HEAD.size + length
-        if opcode == records.HEADER and stream.position != len(records.MAGIC):
+        if opcode == Opcode.HEADER and stream.position != len(records.MAGIC):
             raise Malformed(where, "the header of a file in the middle of it")
-        if opcode == records.MESSAGE_INDEX:
+        if opcode == Opcode.MESSAGE_INDEX:
             self._note_listed(length)
         else:
             self._end_chunk()
-        if opcode == records.CHUNK:
+        if opcode == Opcode.CHUNK:
             self._pass_chunk(total)
-        elif opcode == records.ATTACHMENT:
+        elif opcode == Opcode.ATTACHMENT:
             self._sections.pass_attachment(length, where)
-        elif opcode == records.FOOTER:
+        elif opcode == Opcode.FOOTER:
             self._sections.pass_footer(where)
             self.scan.closed = True
-        elif opcode == records.DATA_END:
+        elif opcode == Opcode.DATA_END:
             self._sections.pass_data_end(total, where)
-        elif opcode == records.MESSAGE:
+        elif opcode == Opcode.MESSAGE:
             self._unchunked.take_large(total)
             self._pass(total)
         else:
@@ -203,7 +203,7 @@ class _McapScanner:
                 at_hand = stream.ahead(RECORD_HEAD.size + min(length, MAX_TAKE))
                 body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + at_hand])
                 if length > LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-                    raise Malformed(where, "a record that nothing vouches for")
+                    raise Malformed(where, "an unverified record, after too many bytes were searched without result")
                 _READERS[opcode](self.scan.facts, body, where)
             self._pass(total)
 
@@ -228,7 +228,7 @@ class _McapScanner:
             scan.losses.chunks += 1
 
     def _note_chunk(self, start: int, end: int, head: chunks.ChunkHead, messages: ChunkMessages | None) -> None:
-        """Remember what was found of a chunk (None: not all that it holds), and compare it with what its head says."""
+        """Note the messages of a chunk (None: not all of them), and compare them with its head."""
         facts = self.scan.facts
         if messages is None:
             self._actual_chunks.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
@@ -241,7 +241,7 @@ class _McapScanner:
             facts.index_faults.note(start, f"its head is wrong: it says that its messages {wrong}")
 
     def _read_chunk(self, head: chunks.ChunkHead, total: int) -> tuple[ChunkMessages, Malformed | None]:
-        """Pass over a chunk; return what was found in it, and why not all of it could be followed.
+        """Read a chunk; return its messages, and why not all of it could be read.
 
         Raises:
             Malformed: nothing in it can be believed, and nothing was counted.
@@ -251,7 +251,7 @@ class _McapScanner:
             raise why
         stream.ahead(total + LOOK)
         if scan.losses.is_search_budget_spent(stream.position) and not self._is_followed(total):
-            raise Malformed("chunk", "nothing stands behind it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
@@ -273,7 +273,7 @@ class _McapScanner:
         self.scan.counter.add(batch, stored=head.stored, uncompressed=head.uncompressed)
 
     def _skip_damaged_chunk(self, start: int, total: int, head: chunks.ChunkHead, damage: Malformed) -> None:
-        """Go on behind a damaged chunk, if something stands there; else search."""
+        """Skip a damaged chunk if a record follows it; else search for the next record."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
         before, used = scan.counter.messages, 0
@@ -295,18 +295,18 @@ class _McapScanner:
         self._listed = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _reaches_over_chunk(self, after: int) -> bool:
-        """Say whether another chunk of this file begins before a place in the window."""
+        """Return whether another chunk of this file begins before a place in the window."""
         stream = self._stream
         inner = find_inner(stream.window, stream.at, after, stream.left)
         return holds_chunk(stream.window, stream.at + 1, after if inner is None else inner, stream.left - 1)
 
     def _is_followed(self, total: int) -> bool:
-        """Say whether a record that stands outside of chunks follows the next `total` bytes, which are at hand."""
+        """Return whether a record that is never inside a chunk follows the next `total` bytes."""
         stream = self._stream
         return stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
     def _read_cut_chunk(self, cut: Cut, total: int) -> None:
-        """Save what there is of a chunk that reaches beyond the end of the file, or that was never finished.
+        """Read what is left of a chunk that reaches beyond the end of the file, or was never finished.
 
         `total`: bytes of the file that are left for it.
         """
@@ -330,7 +330,7 @@ class _McapScanner:
         self._listed = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _save_beginning(self, stored: bytes, head: chunks.ChunkHead) -> int:
-        """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
+        """Count the messages of a chunk whose end is missing; return how many of its bytes are used."""
         scan, batch = self.scan, Batch(self.scan.facts.channels)
         uncompressed = min(head.uncompressed, MAX_CHUNK_BYTES)
         if head.compression and not scan.losses.may_unpack(uncompressed, end=self._stream.size_bytes):
@@ -354,7 +354,7 @@ class _McapScanner:
                 self._check_listed(self._listed.start, length)
 
     def _check_listed(self, start: int, length: int) -> None:
-        """Compare a message index with the messages that it points at."""
+        """Compare a message index with the messages at its offsets."""
         stream = self._stream
         stream.ahead(RECORD_HEAD.size + length)
         body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + RECORD_HEAD.size + length])
@@ -364,29 +364,29 @@ class _McapScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.facts.index_faults.note(start, "its message index points at something else than its messages")
+            self.scan.facts.index_faults.note(start, "its message index has wrong offsets")
 
     def _end_chunk(self) -> None:
-        """Compare the chunk before with its message indexes."""
+        """Compare the last chunk with its message indexes."""
         if self._listed is not None:
             self._listed.settle(self.scan.losses)
             self._listed, self._content = None, b""
 
     def _pass(self, total: int) -> None:
-        """Pass over a record. Where none can begin behind it, its length is doubted: the search begins inside it."""
+        """Skip a record; if no record can begin after it, its length is wrong, and the search begins inside it."""
         stream = self._stream
         after = stream.at + total
         wrong = resync.fault_at_hand(stream.window, after, stream.left - total)
         if wrong is None:
             stream.advance(total)
         else:
-            if stream.window[stream.at] == records.STATISTICS:
+            if stream.window[stream.at] == Opcode.STATISTICS:
                 self.scan.facts.statistics = None  # bytes of it are missing
             self.scan.losses.wasted_bytes += total if total > LOOK else 0
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
-        """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""
+        """Skip damage up to the next record; the first `believed` bytes are not lost."""
         stream, scan = self._stream, self.scan
         self._end_chunk()
         self.scan.losses.note(damage)
@@ -397,7 +397,7 @@ class _McapScanner:
         scan.losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, lost: int) -> None:
-        """Leave out the rest of the file, of which so many bytes are lost."""
+        """Skip the rest of the file, of which so many bytes are lost."""
         self.scan.losses.note(damage)
         self.scan.losses.bytes += lost
         self.scan.losses.messages_are_known = False
@@ -409,7 +409,7 @@ def scan_records(
     observer: MessageObserver | None = None,
     channels: Mapping[int, ChannelRecord] | None = None,
 ) -> McapScan:
-    """Read a whole file. Its content never raises. The observer receives every message that is counted.
+    """Scan a whole file. Its content never raises. The observer receives every message that is counted.
 
     Args:
         reader: the file.
@@ -425,7 +425,7 @@ def scan_records(
 
 
 class Sections:
-    """Passes over what ends a section, and compares its checksum; what is wrong is noted as a loss."""
+    """Reads attachments and the ends of sections, and compares their checksums."""
 
     def __init__(self, stream: LookaheadStream, facts: McapFacts, losses: DamageReport) -> None:
         self._stream = stream
@@ -434,7 +434,7 @@ class Sections:
         self._data_end: int | None = None
 
     def pass_attachment(self, length: int, where: str) -> None:
-        """Pass over an attachment without holding it."""
+        """Read an attachment without holding it."""
         stream = self._stream
         body_at = stream.at + RECORD_HEAD.size
         head = bytes(stream.window[body_at : body_at + min(length, WINDOW)])
@@ -446,7 +446,7 @@ class Sections:
             self._losses.note(Malformed(f"attachment at {where}", "its checksum is wrong"))
 
     def pass_data_end(self, total: int, where: str) -> None:
-        """Pass over the record that ends the data section."""
+        """Read the end of the data section."""
         stream = self._stream
         (claimed,) = _U32.unpack_from(stream.window, stream.at + RECORD_HEAD.size)
         if self._data_end is None and claimed and claimed != stream.crc() and not self._losses.damage:
@@ -459,7 +459,7 @@ class Sections:
         self._data_end = stream.position
 
     def pass_footer(self, where: str) -> None:
-        """Pass over the footer and the magic behind it."""
+        """Read the footer and the magic after it."""
         stream = self._stream
         body_at = stream.at + RECORD_HEAD.size
         summary_start, _offsets_start, claimed = records.FOOTER_BODY.unpack_from(stream.window, body_at)
@@ -476,7 +476,7 @@ _FLUSH_BYTES = 8 * 2**20
 
 
 class UnchunkedMessages:
-    """Takes messages at the next byte of a stream; `flush` at the end, so that all are counted."""
+    """Counts messages outside of chunks in batches; call `flush` at the end."""
 
     def __init__(self, stream: LookaheadStream, facts: McapFacts, counter: MessageCounter) -> None:
         self._stream = stream
@@ -486,9 +486,9 @@ class UnchunkedMessages:
         self._bytes = 0
 
     def walk(self) -> int:
-        """Take all messages in the window, and pass over all but the last; return how many bytes that one has.
+        """Take all messages in the window, and skip all but the last; return the size of that one.
 
-        0: none stands here that is at hand as a whole.
+        0: none is here that is in memory as a whole.
         """
         stream = self._stream
         after, last = walk_messages(stream.window, stream.at, len(stream.window), self._batch)
@@ -497,7 +497,7 @@ class UnchunkedMessages:
         return after - last
 
     def take_large(self, total: int) -> None:
-        """Take one message of `total` bytes, of which only the head is at hand; passes over nothing.
+        """Take a message of `total` bytes, of which only the head is in the window; skips nothing.
 
         Raises:
             Malformed: it is too short to be one.
@@ -525,4 +525,4 @@ class UnchunkedMessages:
             chunks.notify(
                 self._facts, MessagePlace(PlaceKind.records, self._stream.position, length, length), self._batch
             )
-            self.flush()  # what the batch holds next stands somewhere else
+            self.flush()  # what the batch holds next is somewhere else

@@ -1,4 +1,4 @@
-"""ROS 1 bag 2.0: summary by index, scan, and messages."""
+"""The ROS 1 bag format, version 2.0."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, Fi
 from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import DamageReport, ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import Format, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    ChunkedMember,
+    Format,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.index import read_index, read_index_data
 from kleinkram.recordings.formats.rosbag1.records import Connection
 from kleinkram.recordings.formats.rosbag1.scan import BagScan, scan_bag_records
-from kleinkram.recordings.member import ChunkedMember, MemberContents, check_cost
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
@@ -55,7 +61,7 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Read all of a file that begins with the magic of a ROS 1 bag 2.0. `problems`: why its index is not enough.
+    """Scan a whole bag. `problems`: why its index was not enough.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -64,7 +70,7 @@ def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> Reco
 
 
 def summarise_scan(scan: BagScan, name: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Return the summary of a bag that was scanned. `problems`: why its index was not enough."""
+    """Return the summary of a scan. `problems`: why the index was not enough."""
     losses, messages = scan.losses, scan.counter.messages
     all_problems = [*losses.problems(), *scan.index_faults.problems()]
     if scan.listed is not None and scan.listed != messages and not all_problems:
@@ -81,7 +87,7 @@ def summarise_scan(scan: BagScan, name: str, problems: Sequence[Problem] = ()) -
 
 
 def _content(losses: DamageReport, messages: int) -> Content:
-    """Return what a bag is that is not whole."""
+    """Return the content of a damaged bag."""
     if messages:
         return Content.recovered
     damage = losses.damage
@@ -131,7 +137,7 @@ def _summary(
 
 
 def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open a bag by its index; one without is scanned once, and what is broken in it is noted.
+    """Open by the index, or else by a scan.
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.

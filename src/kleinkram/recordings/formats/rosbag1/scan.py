@@ -1,8 +1,8 @@
-"""Reading a ROS 1 bag from its first byte to its last, with or without its index.
+"""Scans a ROS 1 bag from the first byte to the last, with or without its index.
 
 Holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out), keeps no message, and
 goes on behind damage: behind a chunk that cannot be decompressed, and, where the records themselves break off, at the
-next place where one stands. What is left out on the way is measured; the chunk infos at the end of the file and the
+next place where one is. What is left out on the way is measured; the chunk infos at the end of the file and the
 index data behind each chunk say how many messages there should be.
 """
 
@@ -16,7 +16,7 @@ from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, parse_record, read_contents
-from kleinkram.recordings.formats.rosbag1.records import Fields
+from kleinkram.recordings.formats.rosbag1.records import Fields, Op
 from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, compare_with_scan, new_table
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
@@ -27,12 +27,12 @@ from kleinkram.recordings.streams import LookaheadStream
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
 _LEAST_CHUNK_HEAD = 40
-_NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.CONNECTION: "a connection"}
+_NAMES: dict[int, str] = {Op.MESSAGE_DATA: "a message", Op.CHUNK: "a chunk", Op.CONNECTION: "a connection"}
 
 
 @dataclass
 class BagScan:
-    """What a scan found.
+    """The result of a scan.
 
     Attributes:
         chunks: that could be read from end to end.
@@ -91,7 +91,7 @@ class _BagScanner:
         return scan
 
     def _step(self) -> None:
-        """Pass over one record at the top level, or over damage."""
+        """Read one top-level record, or skip damage."""
         stream = self._stream
         stream.ahead(_LOOK)
         where = f"byte {stream.position}"
@@ -100,7 +100,7 @@ class _BagScanner:
             self._check_end(record, where)
             self._pass_record(record, where)
         except Cut as cut:
-            if record.opcode == records.CHUNK and not self._goes_on():
+            if record.opcode == Op.CHUNK and not self._goes_on():
                 self._read_cut_chunk(record, cut)
             else:
                 self._resync(cut)
@@ -121,19 +121,19 @@ class _BagScanner:
             raise Cut(where, f"{name} of {record.data_bytes} bytes begins, but only {left} bytes follow")
 
     def _goes_on(self) -> bool:
-        """Say whether a chunk that claims to reach beyond the end of the file is followed by something all the same."""
+        """Return whether a record follows a chunk that claims to reach beyond the end of the file."""
         stream = self._stream
         stream.ahead(LOOK_AHEAD)
         return find_record(stream.window, stream.at + 1, len(stream.window), outside=True) is not None
 
     def _pass_record(self, record: BagRecord, where: str) -> None:
-        """Read a record that is there as a whole.
+        """Read a whole record.
 
         Raises:
             Malformed: it cannot be one; nothing was passed over.
         """
         stream, total = self._stream, record.end - record.start
-        if record.opcode == records.INDEX_DATA:
+        if record.opcode == Op.INDEX_DATA:
             if self._chunk is not None:
                 self._chunk.records += 1
                 self._chunk.messages += record.fields.u32("count")
@@ -141,24 +141,24 @@ class _BagScanner:
                     self._check_index_data(self._chunk.start, record)
         else:
             self._end_chunk()
-        if record.opcode == records.CHUNK:
+        if record.opcode == Op.CHUNK:
             self._pass_chunk(record)
             return
-        if record.opcode == records.BAG_HEADER:
+        if record.opcode == Op.BAG_HEADER:
             self._note_header(record, where)
-        elif record.opcode == records.MESSAGE:
+        elif record.opcode == Op.MESSAGE_DATA:
             batch = Batch(self.scan.facts.connections)
             chunks.add_message(record, batch)
             self._notify_observer(MessagePlace(PlaceKind.records, stream.position, total, total), batch)
             self.scan.counter.add(batch)
-        elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
+        elif record.opcode in (Op.CONNECTION, Op.CHUNK_INFO):
             self._note_index_record(record, where)
         after = stream.at + total
         is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
         if is_at_hand and not chunks.is_record(stream.window, after):
             damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
             self.scan.losses.wasted_bytes += total
-            if record.opcode == records.CHUNK_INFO:
+            if record.opcode == Op.CHUNK_INFO:
                 self._claims.forget_chunk_info()
             self._resync(damage, believed=total)
         else:
@@ -182,9 +182,9 @@ class _BagScanner:
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
         if record.data_bytes > _LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-            raise Malformed(where, "an index record that nothing vouches for")
+            raise Malformed(where, "an unverified index record, after too many bytes were searched without result")
         data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
-        if record.opcode == records.CONNECTION:
+        if record.opcode == Op.CONNECTION:
             self.scan.losses.wasted_bytes += record.data_bytes
             chunks.define(record, data, self.scan.facts, where)
             self.scan.losses.wasted_bytes -= record.data_bytes
@@ -219,7 +219,7 @@ class _BagScanner:
         self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=partly)
 
     def _note_chunk(self, start: int, messages: ChunkMessages | None) -> None:
-        """Remember what was found of a chunk; None: not all that it holds."""
+        """Note the messages of a chunk; None: not all of them."""
         if messages is None:
             self._actual_chunks.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
             return
@@ -228,7 +228,7 @@ class _BagScanner:
         self._actual_chunks.append(ChunkClaim(start, UNKNOWN, messages.first_ns, messages.last_ns, channels, known))
 
     def _check_index_data(self, start: int, record: BagRecord) -> None:
-        """Compare the index data of a connection, which come next, with the messages that they point at."""
+        """Compare the next index data with the messages at their offsets."""
         stream, data_at = self._stream, record.data_start - record.start
         stream.ahead(record.end - record.start)
         data = stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes]
@@ -238,10 +238,10 @@ class _BagScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.index_faults.note(start, "its index data point at something else than its messages")
+            self.scan.index_faults.note(start, "its index data have wrong offsets")
 
     def _read_chunk(self, record: BagRecord, stored: memoryview) -> tuple[ChunkMessages, int]:
-        """Add the messages of a chunk whose data are at hand; return them, and how many bytes of the file it takes."""
+        """Read a chunk; return its messages, and its length in the file."""
         start, total, head_bytes = self._stream.position, record.end - record.start, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         raw = decompress(compression, stored, uncompressed)
@@ -253,7 +253,7 @@ class _BagScanner:
     def _read_contents(
         self, raw: bytes, stored: int, place: MessagePlace, *, ends_early: bool
     ) -> tuple[ChunkMessages, int]:
-        """Add the messages of a chunk; return them, and where in `raw` it ends."""
+        """Add the messages of a chunk; return them, and where the chunk ends in `raw`."""
         scan = self.scan
         batch = Batch(scan.facts.connections)
         holes, end, readable_ranges = read_contents(raw, scan.facts, batch, ends_early=ends_early)
@@ -272,7 +272,7 @@ class _BagScanner:
         return messages, end
 
     def _skip_damaged_chunk(self, start: int, record: BagRecord, damage: Malformed) -> None:
-        """Go on behind a damaged chunk, if something stands there; else search."""
+        """Skip a damaged chunk if a record follows it; else search for the next record."""
         stream, scan = self._stream, self.scan
         scan.losses.chunks += 1
         total, before, used = record.end - record.start, scan.counter.messages, 0
@@ -298,7 +298,7 @@ class _BagScanner:
         self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _check_search_budget(self, total: int, compression: str) -> None:
-        """Refuse a chunk that would be read in vain, as so many before it.
+        """Refuse an unverified chunk once too many were read without result.
 
         Raises:
             Malformed: the patience is spent, and nothing vouches for the chunk.
@@ -307,10 +307,10 @@ class _BagScanner:
         if self.scan.losses.is_search_budget_spent(stream.position) and (
             compression == "none" or not chunks.stands_outside_chunks(stream.window, stream.at + total)
         ):
-            raise Malformed("chunk", "nothing vouches for it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
 
     def _read_cut_chunk(self, record: BagRecord, cut: Cut) -> None:
-        """Save what there is of a chunk that reaches beyond the end of the file."""
+        """Read what is left of a chunk that reaches beyond the end of the file."""
         stream, scan = self._stream, self.scan
         try:
             compression, _ = record.fields.text("compression"), record.fields.u32("size")
@@ -330,7 +330,7 @@ class _BagScanner:
         stream.advance(stream.left)
 
     def _save_beginning(self, stored: bytes, record: BagRecord) -> int:
-        """Count what there is of the next chunk, whose end is missing; return how many of its bytes that is."""
+        """Count the messages of a chunk whose end is missing; return how many of its bytes are used."""
         scan, head_bytes = self.scan, record.data_start - record.start
         compression, uncompressed = record.fields.text("compression"), record.fields.u32("size")
         uncompressed = min(uncompressed, MAX_CHUNK_BYTES)
@@ -349,7 +349,7 @@ class _BagScanner:
         return head_bytes + len(stored) * followed // len(raw) if followed else 0
 
     def _resync(self, damage: Malformed, believed: int = 0) -> None:
-        """Pass over damage, up to the next place where a record stands; the first `believed` bytes are not lost."""
+        """Skip damage up to the next record; the first `believed` bytes are not lost."""
         stream, scan = self._stream, self.scan
         self._end_chunk()
         scan.losses.note(damage)
@@ -366,7 +366,7 @@ class _BagScanner:
         scan.losses.bytes += max(0, stream.position - start)
 
     def _end_chunk(self) -> None:
-        """Compare the chunk before with its index data."""
+        """Compare the last chunk with its index data."""
         if self._chunk is not None:
             self._chunk.settle(self.scan.losses)
             self._chunk, self._content = None, b""
@@ -380,7 +380,7 @@ class _BagScanner:
 
 
 def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None = None) -> BagScan:
-    """Read a whole bag. Its content never raises. The observer receives every message that is counted.
+    """Scan a whole bag. Its content never raises. The observer receives every message that is counted.
 
     Raises:
         SourceError: as `SequentialReader.read`.
@@ -390,7 +390,7 @@ def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None 
 
 @dataclass
 class Claims:
-    """What was announced so far.
+    """What the bag header and the chunk infos claim.
 
     Attributes:
         index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
@@ -408,14 +408,14 @@ class Claims:
     _latest: int = 0
 
     def note_header(self, fields: Fields) -> None:
-        """Note what a bag's header announces; the first one counts."""
+        """Note the first bag header."""
         if self.index_start is None:
             self.index_start = fields.u64("index_pos")
             self.connections = fields.u32("conn_count")
             self.chunks = fields.u32("chunk_count")
 
     def note_chunk_info(self, fields: Fields, data: bytes, where: str) -> None:
-        """Note what a chunk info says.
+        """Note a chunk info.
 
         Raises:
             Malformed: it is damaged.
@@ -428,13 +428,13 @@ class Claims:
         self.messages += self._latest
 
     def forget_chunk_info(self) -> None:
-        """Take back the latest one: bytes of it are missing."""
+        """Undo the latest chunk info: bytes of it are missing."""
         self.listed.pop()
         self.infos -= 1
         self.messages -= self._latest
 
     def settle(self, losses: DamageReport, *, connections: int, chunks: int, size_bytes: int) -> int | None:
-        """Compare with the connections and the readable chunks that came; note what is missing as lost.
+        """Compare with the connections and readable chunks, and report what is missing.
 
         Returns:
             Messages that the chunk infos say the bag has; None: not all chunk infos were found.

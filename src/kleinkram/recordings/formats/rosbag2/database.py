@@ -1,4 +1,4 @@
-"""A rosbag2 database, opened as something that a stranger made: read-only, unchanging, nothing in it is obeyed.
+"""Opens untrusted rosbag2 databases: read-only, without running anything in them; applies their logs to copies.
 
 No view, trigger, virtual table or function of the database runs (an authorizer lets only plain reads pass), and no
 query runs longer than the file's size can explain. SQLite takes a few MB.
@@ -49,7 +49,7 @@ _MAX_STATED = 4 * 2**20
 
 
 class TopicRow(NamedTuple):
-    """A row of the table `topics`; the oldest databases have no `serialization_format`, which is empty then."""
+    """A row of the table `topics`; `serialization_format` is empty in the oldest databases."""
 
     topic_id: int
     name: str
@@ -58,7 +58,7 @@ class TopicRow(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """What a database says of where it comes from; empty, 0 or None where it says nothing.
+    """The distribution, schema version and compression that a database states; may be empty.
 
     Attributes:
         ros_distro: such as "jazzy".
@@ -74,7 +74,7 @@ class Origin(NamedTuple):
 
 
 class MessageRow(NamedTuple):
-    """What is read of a message: its time as integer nanoseconds, and the bytes of its data."""
+    """A message: topic, integer nanoseconds, and the size of its data."""
 
     topic_id: int
     timestamp: int
@@ -83,7 +83,7 @@ class MessageRow(NamedTuple):
 
 @contextmanager
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading. What cannot be read of it raises `sqlite3.Error` then, or at any later query.
+    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query.
 
     Raises:
         SourceError: the file cannot be opened.
@@ -127,7 +127,7 @@ class _Allowance:
 
 
 def _allowance(size_bytes: int) -> _Allowance:
-    """End queries that take more steps than all rows that such a file can hold."""
+    """Bound the steps of queries by the rows that the file has room for."""
     return _Allowance((_FREE_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_TICK)
 
 
@@ -145,7 +145,7 @@ def _authorize(action: int, first: str | None, second: str | None, _database: st
 
 
 def check_tables(database: sqlite3.Connection) -> None:
-    """Make sure that `topics` and `messages` are tables with the columns that every version has.
+    """Check that `topics` and `messages` are tables with the columns of every version.
 
     Raises:
         Malformed: they are not.
@@ -164,7 +164,7 @@ def check_tables(database: sqlite3.Connection) -> None:
 
 
 def columns(database: sqlite3.Connection, table: str) -> set[str]:
-    """Return the names of a table's stored columns: generated ones are not among them."""
+    """Return the names of a table's stored columns, without generated ones."""
     return {row[1] for row in database.execute(f"PRAGMA table_info({table})")}
 
 
@@ -189,7 +189,7 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
 
 
 def read_origin(database: sqlite3.Connection) -> Origin:
-    """Return what the tables `schema`, `metadata` and `message_definitions` say, of which older databases have none.
+    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack.
 
     Raises:
         sqlite3.Error: one of them cannot be read.
@@ -216,13 +216,13 @@ def read_origin(database: sqlite3.Connection) -> Origin:
 
 
 def _stated_value(text: str, key: str) -> str:
-    """Return a value at the top of the metadata as a recorder writes it: YAML, one key a line, in whatever case."""
+    """Return a top-level value of the metadata text: YAML, one key a line."""
     match = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
     return match[1].lower() if match else ""
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
-    """Check the structure of every page and the place of every row; what is wrong, in SQLite's words.
+    """Check the structure of every page; return the faults in SQLite's words.
 
     Raises:
         sqlite3.Error: not even that can be done.
@@ -232,7 +232,7 @@ def find_faults(database: sqlite3.Connection) -> list[str]:
 
 
 def message_cursor(database: sqlite3.Connection) -> sqlite3.Cursor:
-    """Return all messages as rows of topic id, timestamp and bytes of data, in the order of the file (rowid).
+    """Return all messages as rows of topic id, timestamp and data size, in file order (rowid).
 
     Of large data only the length is looked at, so its pages are not read.
     """
@@ -251,7 +251,7 @@ _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode"
 
 
 def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
-    """Name the log and the journal beside a database that hold something it does not; `name`: what it is called.
+    """Report the log and the journal beside a database that hold unmerged pages.
 
     Raises:
         SourceError: one of them cannot be read.
@@ -279,13 +279,13 @@ def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
 
 
 def log_not_read(left: Sequence[Problem]) -> list[Problem]:
-    """Say that what was found beside a database could not be applied to a copy."""
+    """Report that a log or journal could not be applied to a copy."""
     return [Problem("log-not-read", left[0].where, "its content could not be read along")] if left else []
 
 
 @contextmanager
 def replayed_copy(path: Path) -> Iterator[Path | None]:
-    """Give the path of a temporary copy of a database, to which its log and journal are applied.
+    """Yield a temporary copy of a database with its log and journal applied.
 
     None where it cannot be made: too little space, or SQLite does not apply them.
 
@@ -306,7 +306,7 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
 
 
 def replay(copy: Path) -> bool:
-    """Have SQLite apply the log and journal beside a database, which is a copy of ours; say whether it did."""
+    """Have SQLite apply log and journal to our copy of a database; return whether it did."""
     journal = Path(f"{copy}{JOURNAL_SUFFIX}")
     if journal.is_file() and _names_other_journal(journal):
         return False
@@ -339,7 +339,7 @@ def _is_hot(journal: Path) -> bool:
 
 
 def _pages_not_merged(path: Path, wal: Path) -> int:
-    """Count the pages whose latest committed content in the log differs from that in the database."""
+    """Count the pages whose latest committed content is only in the log."""
     with path.open("rb") as database, wal.open("rb") as log:
         head = log.read(_WAL_HEADER.size)
         if len(head) < _WAL_HEADER.size:
@@ -376,12 +376,12 @@ _SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 def is_database(head: bytes) -> bool:
-    """Say by its first bytes whether a file is an SQLite database, of whatever content."""
+    """Return whether the first bytes are those of an SQLite database."""
     return head.startswith(_SQLITE_MAGIC)
 
 
 def is_database_in_log(head: bytes, path: Path | None) -> bool:
-    """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
+    """Return whether all tables may be in the log beside a database, because its recorder was killed early.
 
     `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
     """

@@ -1,7 +1,7 @@
-"""A rosbag2 database (db3) -> its summary, by SQLite where that can read it, else row by row from what is left.
+"""The rosbag2 database format (db3): read by SQLite, or page by page where SQLite fails.
 
 A database has no index of its messages' times: the pages with their heads are read all, so a summary costs about the
-file. A scan also checks the structure of every page; what stands inside of messages has no checksum and is not judged.
+file. A scan also checks the structure of every page; what is inside of messages has no checksum and is not judged.
 """
 
 from __future__ import annotations
@@ -20,7 +20,15 @@ from pathlib import Path
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import Format, Head, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import (
+    Format,
+    Head,
+    Member,
+    MemberContents,
+    OpenContext,
+    RecordingFile,
+    check_cost,
+)
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import (
     LOG_SUFFIXES,
@@ -39,10 +47,8 @@ from kleinkram.recordings.formats.rosbag2.database import (
     replay,
     replayed_copy,
 )
-from kleinkram.recordings.formats.rosbag2.recovered_member import open_recovered
-from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery
+from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery, open_recovered
 from kleinkram.recordings.limits import MAX_DEFINITIONS
-from kleinkram.recordings.member import Member, MemberContents, check_cost
 from kleinkram.recordings.merge import MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
@@ -58,7 +64,7 @@ _SCHEMA_ENCODING = ""
 
 
 def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> RecordingSummary:
-    """Read a whole database: in place where it is a local file, else through a temporary copy.
+    """Scan a database: a local file in place, else a temporary copy.
 
     Where a local file has a log or a journal beside it that holds something it does not, a copy is read to which
     SQLite applied them. `Depth.summary` leaves out the check of every page, and does not read the pages of large
@@ -80,7 +86,7 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
 
 
 def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSummary]) -> RecordingSummary:
-    """Read a database, a temporary copy with its log or journal beside it, of which SQLite makes one file.
+    """Scan a temporary copy of a database and of the log or journal beside it.
 
     `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
 
@@ -96,7 +102,7 @@ def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSu
 
 
 def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: bool) -> RecordingSummary:
-    """Say of a summary that the recorder was killed, and whether what it left beside the database was read too."""
+    """Add to a summary that the recorder was killed, and whether its log was read."""
     content = Content.recovered if summary.content is Content.indexed else summary.content
     reason = summary.reason or left[0].message
     lost = summary.lost or Lost(0, 0, None)
@@ -107,7 +113,7 @@ def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: b
 
 
 class _TopicCounts:
-    """Messages on their way into a timeline."""
+    """Counts messages into a timeline."""
 
     def __init__(self, topics: Iterable[TopicRow], origin: Origin = _NO_ORIGIN) -> None:
         self.timeline = Timeline()
@@ -120,7 +126,7 @@ class _TopicCounts:
             self._define(topic)
 
     def add(self, rows: Sequence[MessageRow]) -> None:
-        """Add messages in the order of the file. Rows are what a stranger's database holds: of any type."""
+        """Add messages in file order. Values may have any type."""
         stamps: dict[int, list[int]] = defaultdict(list)
         sizes: dict[int, int] = defaultdict(int)
         for topic_id, timestamp, size in rows:
@@ -149,7 +155,7 @@ class _TopicCounts:
     def summary(
         self, content: Content, reason: str | None, depth: Depth, problems: Sequence[Problem], lost: Lost | None
     ) -> RecordingSummary:
-        """Close the timeline, and say what is in it."""
+        """Return the summary."""
         self.timeline.settle(None)
         measured = measure(self.timeline, self.types)
         return RecordingSummary(
@@ -211,7 +217,7 @@ def _read(path: Path, name: str, depth: Depth) -> RecordingSummary:
 
 
 def _recover(path: Path, name: str, depth: Depth, error: str) -> RecordingSummary:
-    """Read what is left of a database that SQLite does not read."""
+    """Read a database that SQLite cannot read."""
     try:
         with Recovery(path, name) as recovery:
             result = recovery.result
@@ -259,7 +265,7 @@ _Row = tuple[object, object, object]
 
 
 class DatabaseMember:
-    """A database, its channels being the rows of `topics`."""
+    """A database; its channels are the rows of `topics`."""
 
     summary = None
     """Opening it reads little of it."""
@@ -273,7 +279,7 @@ class DatabaseMember:
         *,
         message_compression: str = "",
     ) -> None:
-        """Read what the database says of itself; `recover` opens what is left of it, should it be damaged.
+        """Read topics and span; `recover` opens a damaged database.
 
         Raises:
             SourceError: the file cannot be opened.
@@ -296,7 +302,7 @@ class DatabaseMember:
             self.contents = self._rescue(error).contents
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield the database as one piece that is read as it goes."""
+        """Yield the database as one piece."""
         if self._recovered is not None:
             yield from self._recovered.pieces(selection, order)
             return
@@ -310,7 +316,7 @@ class DatabaseMember:
             yield MessagePiece(first_ns, order, lambda: MessageRun([], 0, self._blocks(channels, selection)))
 
     def _blocks(self, channels: dict[int, Channel], selection: Selection) -> Iterator[Block]:
-        """Yield the messages by SQLite; should it stumble, those behind from what can be recovered."""
+        """Yield messages from SQLite; if it fails, the later ones from the recovery."""
         latest_ns, of_latest = max(selection.start_ns, self.contents.start_ns or 0), 0
         try:
             for block in self._by_sqlite(channels, selection):
@@ -368,7 +374,7 @@ class DatabaseMember:
 
 
 def _is_in_order(block: Block) -> bool:
-    """Say whether times never fall: a damaged index hands messages out in an order of its own."""
+    """Return whether times never decrease; those of a damaged index may."""
     stamps = [message.log_time_ns for message in block]
     return all(map(le, stamps, stamps[1:]))
 
@@ -400,7 +406,7 @@ def _read_channels(database: sqlite3.Connection, message_compression: str) -> di
 
 
 def _contents(database: sqlite3.Connection, channels: dict[int, Channel], *, has_index: bool) -> MemberContents:
-    """Say what is cheap to know: with an index of timestamps, the span and how many messages there are."""
+    """Return channels and, if timestamps are indexed, span and count."""
     if not has_index:
         return MemberContents(channels, None, None, None, None)
     (count,) = database.execute("SELECT count(*) FROM messages").fetchone()
@@ -433,7 +439,7 @@ def _open(file: RecordingFile, context: OpenContext) -> Member:
 
 
 def _whole_database(file: RecordingFile, context: OpenContext) -> Path:
-    """Return where a database can be read with what its log and journal hold, if there are any."""
+    """Return the path of a database with its log and journal applied."""
     if file.path is not None:
         left = find_unmerged_logs(file.path, file.base_name)
         copy = context.stack.enter_context(replayed_copy(file.path)) if left else None
@@ -453,7 +459,7 @@ def _whole_database(file: RecordingFile, context: OpenContext) -> Path:
 
 
 def _matches(head: Head) -> bool:
-    """Recognise the tables in the schema, or a database whose tables may all be in the log beside it."""
+    """Recognise the tables in the schema, or a database whose tables may be in the log beside it."""
     return is_database(head.data) and (
         all(table.search(head.data) for table in _ROSBAG2_TABLES) or is_database_in_log(head.data, head.path)
     )

@@ -1,4 +1,4 @@
-"""The metadata.yaml of a rosbag2 folder: what the recorder claims. Tolerant: whatever is missing or odd is None.
+"""The metadata.yaml of a rosbag2 folder, and its comparison with the data files. Missing or invalid values are None.
 
 It is only a claim: `comparing` says where the data disagree.
 """
@@ -22,7 +22,7 @@ _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 @dataclass(frozen=True)
 class StatedTopic:
-    """What metadata.yaml says of a topic; empty or None where it says nothing."""
+    """A topic in metadata.yaml; empty or None where it says nothing."""
 
     name: str
     message_type: str
@@ -32,7 +32,7 @@ class StatedTopic:
 
 @dataclass(frozen=True)
 class StatedFile:
-    """What metadata.yaml says of one data file, from version 5 on."""
+    """A data file in metadata.yaml, from version 5 on."""
 
     path: str
     message_count: int | None
@@ -42,7 +42,7 @@ class StatedFile:
 
 @dataclass(frozen=True)
 class Rosbag2Metadata:
-    """What a metadata.yaml says.
+    """The contents of a metadata.yaml.
 
     Attributes:
         files: data files, relative to the folder, in the order of recording.
@@ -75,7 +75,7 @@ class Rosbag2Metadata:
 
 
 def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
-    """Read a metadata.yaml; None if it is a damaged one, or not YAML.
+    """Parse a metadata.yaml; None if it is damaged, or not YAML.
 
     Source: rosbag2_storage, `YAML::convert<BagMetadata>`, metadata versions 1 to 9.
     """
@@ -137,7 +137,7 @@ def _files(top: Mapping[object, object]) -> tuple[str, ...]:
 
 
 def _path(value: object) -> str:
-    """Return a path as POSIX writes it: recorders on Windows write backslashes."""
+    """Return a POSIX path: recorders on Windows write backslashes."""
     return _text(value).replace("\\", "/")
 
 
@@ -173,7 +173,7 @@ _FIRST_VERSION_WITH_FILES = 5
 
 @dataclass(frozen=True)
 class MemberFacts:
-    """What is known of one data file that is there; None: not known.
+    """What is known of a data file; None: unknown.
 
     Attributes:
         name: without folder.
@@ -189,7 +189,7 @@ class MemberFacts:
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What is known of one topic over all data files; None or empty: not known."""
+    """What is known of a topic over all data files; None or empty: unknown."""
 
     name: str
     message_type: str = ""
@@ -200,7 +200,7 @@ class TopicFacts:
 def compare_metadata(
     metadata: Rosbag2Metadata, members: Sequence[MemberFacts], topics: Iterable[TopicFacts] = ()
 ) -> list[Problem]:
-    """Say where metadata.yaml and the data files disagree.
+    """Report where metadata.yaml and the data files disagree.
 
     `members` in the order of recording. Counts and times of the whole are compared only where all files are there
     and their counts are known; times agree within 1 ms. Topics that are not given are not compared.
@@ -219,7 +219,7 @@ def compare_metadata(
 
 
 def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> int | None:
-    """Return how many messages the metadata claims beyond those that the files hold; None where that is not known."""
+    """Return how many messages the metadata claims beyond those in the files; None if unknown."""
     counts = [member.message_count for member in members]
     known = [count for count in counts if count is not None]
     if metadata.message_count is None or len(known) < len(counts):
@@ -228,7 +228,7 @@ def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
 
 
 def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Problem]:
-    """Say which data files metadata.yaml names and are not there, and which are there unnamed."""
+    """Report data files that are missing, or that metadata.yaml does not name."""
     claimed = {PurePosixPath(path).name for path in metadata.files}
     there = set(names)
     missing = [
@@ -295,7 +295,7 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFact
 
 
 def _short(message_type: str) -> str:
-    """Return a type as ROS 1 and the first rosbag2 spelled it, `std_msgs/String`."""
+    """Return a type name without `/msg/`, as ROS 1 and the first rosbag2 wrote it."""
     return message_type.replace("/msg/", "/")
 
 
