@@ -160,7 +160,7 @@ def test_a_token_that_has_expired_is_not_believed(place: Place, chromium: Chromi
     try:
         back = come_back(place, chromium, "ada")
         chromium.goto(back)
-        chromium.see("could not say who you are")
+        chromium.see("could not confirm who you are")
         assert "expired_token" in chromium.text()
     finally:
         place.provider.start()

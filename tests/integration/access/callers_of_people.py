@@ -82,7 +82,7 @@ def _end_session(by: Asker) -> Request:
     session_id = str(uuid.uuid4())
     if by.person_id is not None:
         by.api.sql(
-            "INSERT INTO session (id, person_id, secret_sha256, way, expires_at)"
+            "INSERT INTO session (id, person_id, secret_sha256, method, expires_at)"
             " VALUES (%s, %s, sha256(%s::text::bytea), 'link', now() + interval '1 hour')",
             *(session_id, by.person_id, session_id),
         )

@@ -211,7 +211,7 @@ def _with(**changed: Any) -> Change:
 )
 def test_an_id_token_that_is_not_for_this_sign_in_is_not_believed(lab: Lab, change: Change) -> None:
     lab.provider.change = change
-    assert "could not say who you are" in lab.refuses(**known_as(any_email()))
+    assert "could not confirm who you are" in lab.refuses(**known_as(any_email()))
 
 
 def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None:
@@ -240,7 +240,7 @@ def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
         return (200, b"[" * 100_000) if path == "/token" else real(path, body, headers)
 
     lab.provider.answer = endless  # type: ignore[method-assign]  # a provider whose token endpoint is broken
-    assert "could not be asked who you are" in lab.refuses("deep")
+    assert "The sign-in with The Lab failed" in lab.refuses("deep")
 
 
 def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> None:
@@ -303,7 +303,7 @@ def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, mess
 def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
     lab.provider.tells_in_userinfo = True
-    assert "could not be asked" in lab.refuses(**known_as(any_email()))
+    assert "The sign-in with The Lab failed" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 
 
