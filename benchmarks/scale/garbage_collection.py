@@ -11,8 +11,8 @@ from sqlalchemy import func, select
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tables import mission
 
 # As the worker: whatever people wait for goes first.

@@ -19,7 +19,6 @@ from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
-from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
@@ -39,16 +38,16 @@ from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
-from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.runners.routes import router as runners
 from kleinkram.server.runs.routes import router as runs
+from kleinkram.server.s3.capabilities import configure_cors, probe, record_capabilities
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares.page import router as share_page
 from kleinkram.server.shares.routes import router as shares
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
@@ -109,7 +108,7 @@ def create_app(settings: Settings) -> FastAPI:
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:
-                    await record_probe(db, settings.store_id, abilities)
+                    await record_capabilities(db, settings.store_id, abilities)
                     await ensure_affiliations(db, settings.affiliations)
                     if settings.owner_token_file is None:
                         await log_bootstrap_code(db)
@@ -118,8 +117,8 @@ def create_app(settings: Settings) -> FastAPI:
                 app.state.database = database
                 app.state.providers = providers
                 app.state.password_hasher = PasswordHasher()
-                app.state.storage = store.with_abilities(abilities)
-                app.state.pages_may_send = await open_to_pages(store, settings)
+                app.state.storage = store.with_capabilities(abilities)
+                app.state.pages_may_send = await configure_cors(store, settings)
                 _log.info(
                     "serving",
                     extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}},
@@ -132,7 +131,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="Kleinkram",
         version=kleinkram.__version__,
-        summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
+        summary="Keeps every recording a robotics lab makes: organised, verified, findable down to the topic.",
         lifespan=lifespan,
         # A Location would be made from the Host header, which is whatever the asker says.
         redirect_slashes=False,

@@ -22,7 +22,7 @@ WRITES: dict[str, set[str]] = {
     "move_mission": {"mission.leave", "mission.arrive"},
     "delete_mission": {"[mission.delete]"},
     "download_files": {"file.download", "[file.look]"},
-    "prove_file": {"file.prove"},
+    "verify_file": {"file.verify"},
     "update_file": {"[file.update]"},
     "label_files": {"file.update"},
     "move_file": {"file.leave", "file.arrive"},

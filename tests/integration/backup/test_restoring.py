@@ -13,8 +13,8 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.backup import loading
 from kleinkram.server.backup.bucket import BucketShelf
 from kleinkram.server.backup.failing import BackupError, InTheWay
+from kleinkram.server.s3.storage import Storage
 from kleinkram.server.settings import plain_dsn
-from kleinkram.server.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
     Sites,
@@ -45,7 +45,7 @@ def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_pat
         assert len(contents(target)) == 7  # of files 4, of a run's artifact and log, of one that is held a piece of log
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             states = "SELECT DISTINCT state FROM blob WHERE doomed_at IS NULL"
-            assert database.execute(states).fetchall() == [("stored",)]  # to be proven at the new store
+            assert database.execute(states).fetchall() == [("stored",)]  # to be verified at the new store
             # Who was sending begins anew, and finds the name free.
             assert database.execute("SELECT DISTINCT state FROM upload WHERE path = 'half.bin'").fetchall() == [
                 ("expired",)

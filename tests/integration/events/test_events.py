@@ -32,7 +32,7 @@ def _marked(api: Api, ears: Ears, mission_id: str) -> None:
     ears.hear(noun="upload", id=upload_id, change="removed")
 
 
-def test_a_file_is_heard_of_from_its_announcement_to_its_summary_and_proof(lab: Api) -> None:
+def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab: Api) -> None:
     project = lab.project()
     mission = lab.mission(project["id"])
     member = people.person(lab)

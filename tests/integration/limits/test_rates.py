@@ -20,7 +20,7 @@ from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 
-_KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
+_KINDS = ("searches", "downloads", "uploads", "verifications", "exports")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def _fresh(api: Api) -> Api:
         ("GET", "/missions?query=x", None, "searches"),
         ("GET", "/projects?text=x", None, "searches"),
         ("POST", "/files/download", {"file_ids": ["00000000-0000-4000-8000-000000000000"]}, "downloads"),
-        ("POST", "/files/00000000-0000-4000-8000-000000000000/prove", None, "proofs"),
+        ("POST", "/files/00000000-0000-4000-8000-000000000000/verify", None, "verifications"),
         ("GET", "/audit/export?until=2000-01-01", None, "exports"),
     ],
 )

@@ -11,13 +11,13 @@ from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
-    HeldPart,
     NotCompleted,
     PartsSign,
     Present,
     Send,
     SignedPart,
     SignedParts,
+    StoredPart,
     UploadDecision,
     UploadDecisions,
     UploadOutcome,
@@ -62,7 +62,7 @@ class FakeUploads:
                 state=UploadState.open,
                 lease_ends_at=LATER,
                 expires_at=LATER,
-                parts=list[HeldPart](),
+                parts=list[StoredPart](),
             )
             decisions.append(Send(upload=upload))
         return UploadDecisions(items=decisions)

@@ -10,8 +10,8 @@ from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
-from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.storage import Storage
+from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -189,7 +189,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _sweep(context: AppContext) -> None:
-    await tend_once(context)
+    await maintain_runs_once(context)
     await sweep_once(context)
 
 

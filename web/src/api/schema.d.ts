@@ -770,26 +770,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/files/{file_id}/prove": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove File
-         * @description Have a file's bytes read again; its state and time of proof tell when that is done.
-         */
-        post: operations["prove_file"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/files/{file_id}/topics": {
         parameters: {
             query?: never;
@@ -804,6 +784,26 @@ export interface paths {
         get: operations["list_file_topics"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/files/{file_id}/verify": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Verify File
+         * @description Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has.
+         */
+        post: operations["verify_file"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1401,13 +1401,13 @@ export interface paths {
         };
         /**
          * List Open
-         * @description List your uploads under way into a mission.
+         * @description List your open uploads into a mission.
          */
         get: operations["list_uploads"];
         put?: never;
         /**
          * Begin
-         * @description Say what you want to upload, and hear what to send.
+         * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
         delete?: never;
@@ -2423,14 +2423,14 @@ export interface paths {
         };
         /**
          * Get
-         * @description Get one of your uploads, with the parts that the store holds.
+         * @description Get one of your uploads, with the parts that the store has.
          */
         get: operations["get_upload"];
         put?: never;
         post?: never;
         /**
          * Abort
-         * @description Give up an upload.
+         * @description Abort an upload.
          */
         delete: operations["abort_upload"];
         options?: never;
@@ -2469,7 +2469,7 @@ export interface paths {
         put?: never;
         /**
          * Sign
-         * @description Get the addresses to send parts to; this also renews the leases of their uploads.
+         * @description Get the URLs to send parts to; this also renews the leases of their uploads.
          */
         post: operations["sign_parts"];
         delete?: never;
@@ -2922,7 +2922,7 @@ export interface components {
          * @description What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were.
          * @enum {string}
          */
-        BlobState: "stored" | "proven" | "lost" | "corrupt";
+        BlobState: "stored" | "verified" | "lost" | "corrupt";
         /**
          * BrowserSignedIn
          * @description Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read.
@@ -2970,7 +2970,7 @@ export interface components {
         };
         /**
          * ChecksumKind
-         * @description How the store proves what it received, as found by the server's probe when it started.
+         * @description How the store verifies what it received, as found by the server's probe when it started.
          *
          *     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
          *     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
@@ -3537,7 +3537,7 @@ export interface components {
          * FileRead
          * @description A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
          *
-         *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
+         *     `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
          *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
          *     the path and labels that people gave it last, as with missions.
@@ -3585,8 +3585,6 @@ export interface components {
             path: string;
             /** Problems */
             problems: components["schemas"]["FileProblem"][];
-            /** Proven At */
-            proven_at: string | null;
             /** Recording Id */
             recording_id: string | null;
             /** Sha256 */
@@ -3601,6 +3599,8 @@ export interface components {
             /** Summarised At */
             summarised_at: string | null;
             uploaded_by: components["schemas"]["PersonRef"];
+            /** Verified At */
+            verified_at: string | null;
         };
         /**
          * FilesLabelled
@@ -3863,18 +3863,6 @@ export interface components {
         Heartbeats: {
             /** Runs */
             runs: components["schemas"]["Heartbeat"][];
-        };
-        /**
-         * HeldPart
-         * @description A part that the store already holds.
-         */
-        HeldPart: {
-            /** Etag */
-            etag: string;
-            /** Number */
-            number: number;
-            /** Size Bytes */
-            size_bytes: number;
         };
         /**
          * HomeRead
@@ -4352,7 +4340,7 @@ export interface components {
          *
          *     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
          *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-         *     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
+         *     content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
          *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
          *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
          */
@@ -4551,7 +4539,7 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches.
@@ -5859,7 +5847,7 @@ export interface components {
          * @description One comparison of what the store lists with what the database knows of it.
          *
          *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-         *     proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+         *     verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
          *     Until it has `ended_at`, all this is of what it has compared so far.
          */
         ScrubRead: {
@@ -5914,7 +5902,8 @@ export interface components {
          *
          *     Of the lost and corrupt those count that something still refers to.
          *
-         *     `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+         *     `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
+         *     after its last verification.
          */
         ScrubState: {
             /** Again After Days */
@@ -5924,8 +5913,8 @@ export interface components {
             /** Every Hours */
             every_hours: number;
             last: components["schemas"]["ScrubRead"] | null;
-            /** Oldest Proof At */
-            oldest_proof_at: string | null;
+            /** Oldest Verification At */
+            oldest_verification_at: string | null;
         };
         /**
          * SearchRead
@@ -6235,6 +6224,18 @@ export interface components {
             missions: number;
             /** Recordings */
             recordings: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * StoredPart
+         * @description A part that the store already holds.
+         */
+        StoredPart: {
+            /** Etag */
+            etag: string;
+            /** Number */
+            number: number;
             /** Size Bytes */
             size_bytes: number;
         };
@@ -6661,7 +6662,7 @@ export interface components {
              * Parts
              * @default []
              */
-            parts: components["schemas"]["HeldPart"][];
+            parts: components["schemas"]["StoredPart"][];
             /** Path */
             path: string;
             /** Size Bytes */
@@ -8180,37 +8181,6 @@ export interface operations {
             };
         };
     };
-    prove_file: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                file_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            202: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["FileRead"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
     list_file_topics: {
         parameters: {
             query?: {
@@ -8232,6 +8202,37 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_TopicRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    verify_file: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FileRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */

@@ -91,7 +91,7 @@ OPERATIONS: dict[str, Need] = {
     "get_file": Need(On.mission, Right.read, _READ, guests=True),
     "download_files": Need(On.mission, Right.read, _READ, guests=True),
     "list_file_topics": Need(On.mission, Right.read, _READ, guests=True),
-    "prove_file": Need(On.mission, Right.read, _READ),
+    "verify_file": Need(On.mission, Right.read, _READ),
     "update_file": Need(On.mission, Right.write, _WRITE),
     "move_file": Need(On.mission, Right.delete, _WRITE),
     "delete_file": Need(On.mission, Right.delete, _WRITE),

@@ -162,7 +162,7 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
     return queries.to_version(found)
 
 
-async def keep_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
+async def store_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
     """Keep a definition that is run without being published, once; return its version's id, and its image's digest."""
     values = _stored(definition)
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)

@@ -82,7 +82,7 @@ def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: S
 _CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 # What is only asked for, looked at or refused leaves all as it was.
-_NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})
+_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 def _notice(actor: Actor | None, event: Event) -> ChangeEvent | None:

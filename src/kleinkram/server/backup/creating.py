@@ -23,8 +23,8 @@ from kleinkram.server.backup.pace import Pace, amount, telling
 from kleinkram.server.backup.repository import Repository, make_repository, open_place
 from kleinkram.server.backup.shelf import Shelf
 from kleinkram.server.backup.snapshot import Snapshot
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 
 
 @dataclass(frozen=True)

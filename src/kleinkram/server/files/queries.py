@@ -80,7 +80,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
             "sha256",
             "md5",
             "crc64nvme",
-            "proven_at",
+            "verified_at",
             "damaged_at",
             "summarised_at",
             "message_count",

@@ -86,7 +86,7 @@ async def list_file_topics(
     return await service.list_topics(db, actor, file_id=file_id, page=PageRequest(limit, cursor))
 
 
-@router.post("/files/{file_id}/prove", operation_id="prove_file", status_code=202)
-async def prove_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
-    """Have a file's bytes read again; its state and time of proof tell when that is done."""
-    return await service.prove_file(db, actor, file_id=file_id)
+@router.post("/files/{file_id}/verify", operation_id="verify_file", status_code=202)
+async def verify_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
+    """Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has."""
+    return await service.verify_file(db, actor, file_id=file_id)

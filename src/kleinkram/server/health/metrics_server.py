@@ -57,8 +57,8 @@ _QUEUE_AGE_SQL = text(
 _RETRYING_SQL = text(
     "SELECT task_name, count(*) FROM procrastinate_jobs WHERE status = 'todo' AND attempts > 0 GROUP BY 1"
 )
-_OLDEST_PROOF = select(func.coalesce(func.extract("epoch", func.now() - func.min(blob.c.proven_at)), 0)).where(
-    blob.c.state == BlobState.proven.value, blob.c.doomed_at.is_(None)
+_OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - func.min(blob.c.verified_at)), 0)).where(
+    blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None)
 )
 _SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
 _FINDINGS = ("lost", "corrupt", "found", "unknown")
@@ -164,7 +164,7 @@ async def _site_metrics(database: Database) -> list[Metric]:
         retrying = {row[0]: row[1] for row in await db.execute(_RETRYING_SQL)}
         workers = await find_workers(db)
         age_s = float((await db.execute(_QUEUE_AGE_SQL)).scalar_one())
-        proof_s = float((await db.execute(_OLDEST_PROOF)).scalar_one())
+        verification_age_s = float((await db.execute(_OLDEST_VERIFICATION)).scalar_one())
         last = (await db.execute(_SCRUB)).one_or_none()
     states, sizes, contents = Counter[str](), Counter[str](), Counter[str]()
     for row in blobs:
@@ -182,7 +182,11 @@ async def _site_metrics(database: Database) -> list[Metric]:
             "kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", value=age_s
         ),
         *_workers(workers),
-        GaugeMetricFamily("kleinkram_oldest_proof_seconds", "Since when the oldest proof is old.", value=proof_s),
+        GaugeMetricFamily(
+            "kleinkram_oldest_verification_seconds",
+            "Seconds since the oldest verification.",
+            value=verification_age_s,
+        ),
         *_scrub(last),
     ]
 

@@ -48,7 +48,7 @@ class Workers:
             silent_s = (self.now - self.last_seen_at).total_seconds()
             minutes = max(1, round(silent_s / _SECONDS_A_MINUTE))
             heard = f"no worker process was heard of for {minutes} min"
-        return f"{heard}: new files are not read or proven; start `python -m kleinkram.server worker`"
+        return f"{heard}: new files are not read or verified; start `python -m kleinkram.server worker`"
 
 
 async def find_workers(db: Connection) -> Workers:

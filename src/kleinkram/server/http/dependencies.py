@@ -17,8 +17,8 @@ from kleinkram.server.audit.places import named
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.rate_limit import limit_expensive
+from kleinkram.server.s3.storage import Storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import Storage
 
 _bearer = HTTPBearer(auto_error=False, description="A Kleinkram token.")
 

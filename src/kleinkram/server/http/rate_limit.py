@@ -46,7 +46,7 @@ _OPERATION_KINDS = {
     "list_topics": "searches",
     "download_files": "downloads",
     "begin_uploads": "uploads",
-    "prove_file": "proofs",
+    "verify_file": "verifications",
     "export_audit_events": "exports",
 }
 _LIST_OPERATIONS = frozenset({"list_projects", "list_missions", "list_files"})
@@ -54,7 +54,7 @@ _LIMITS: Mapping[str, Callable[[Settings], int]] = {
     "searches": lambda settings: settings.searches_per_minute,
     "downloads": lambda settings: settings.downloads_per_minute,
     "uploads": lambda settings: settings.uploads_per_minute,
-    "proofs": lambda settings: settings.proofs_per_minute,
+    "verifications": lambda settings: settings.verifications_per_minute,
     "exports": lambda settings: settings.exports_per_minute,
 }
 

@@ -14,7 +14,7 @@ from sqlalchemy import Row, Select, delete, insert
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.topics import MissionTopic, MissionTopics, RecordingRef, TimeAxis
 from kleinkram.recordings.density import on_axis, pack, unpack
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
@@ -196,7 +196,7 @@ def _bigint(value: int | None) -> int | None:
 
 
 def _from_row(row: Row[Any]) -> Merged:
-    density: Density | None = unpack(row.density) if row.density is not None else None
+    density: MessageDensity | None = unpack(row.density) if row.density is not None else None
     return Merged(
         key=Key(row.name, row.message_type),
         count=row.message_count,

@@ -14,11 +14,11 @@ from kleinkram.contract.events import ChangeKind
 from kleinkram.recordings import (
     Content,
     Depth,
-    GroupKind,
     Lost,
     Problem,
     RecordingFormat,
     RecordingGroup,
+    RecordingGroupKind,
     RecordingSummary,
     Rosbag2Metadata,
     TopicSummary,
@@ -146,7 +146,7 @@ def _topic(row: Row[Any]) -> TopicSummary:
 def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
     names = [PurePosixPath(path).name for path in each.members]
     summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
-    if each.kind is not GroupKind.rosbag2:
+    if each.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
     path = each.metadata_path or ""
     if path in stated:

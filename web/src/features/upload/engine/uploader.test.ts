@@ -86,7 +86,7 @@ describe("an upload", () => {
     arrived("large", large);
   });
 
-  it.each(["sha256", "md5"] as const)("goes to stores that prove parts by %s", async (kind) => {
+  it.each(["sha256", "md5"] as const)("goes to stores that verify parts by %s", async (kind) => {
     house.checksum = kind;
     await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
     expect([...house.files.keys()].sort()).toEqual(["a", "b"]);
