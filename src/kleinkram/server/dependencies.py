@@ -9,7 +9,6 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
-from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.rights import admit, is_door, require_fresh_sign_in, still_shares
 from kleinkram.server.audit.looking import Looks
@@ -163,11 +162,3 @@ CurrentSite = Annotated[AppContext, Depends(_context)]
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
 # For routes that change nothing, and set nothing for the rest of a transaction.
 Reading = Annotated[Connection, Depends(_reading, scope="function")]
-
-
-async def _searcher(db: Transaction, actor: CurrentActor) -> Actor:
-    return await knowing_few(db, actor)
-
-
-# Who asks what goes through everything that they see.
-SearchingActor = Annotated[Actor, Depends(_searcher)]

@@ -1,17 +1,15 @@
 """Whether somebody may do something: what a credential is for at all, and what right its carrier has on a place."""
 
 import uuid
-from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Row, Select, bindparam, func, select
+from sqlalchemy import Row, Select, func, select
 
 from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing, SignInTooOld
 from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
-from kleinkram.server.access.whoever import KEPT, asking, whoever
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import mission, person, project, share
 
@@ -71,8 +69,7 @@ async def require_project(db: Connection, actor: Actor, operation: str, project_
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but the operation takes more.
     """
-    given = asking(actor) | {"project_id": project_id}
-    row = (await db.execute(_project_level(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(_project_level(actor, project_id))).one_or_none()
     _require(row, operation, noun="project", ref=project_id)
 
 
@@ -83,8 +80,7 @@ async def require_mission(db: Connection, actor: Actor, operation: str, mission_
         NotFound: it is not there, or not for this actor.
         Forbidden: they may see it, but the operation takes more.
     """
-    given = asking(actor) | {"mission_id": mission_id}
-    row = (await db.execute(_mission_level(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(_mission_level(actor, mission_id))).one_or_none()
     _require(row, operation, noun="mission", ref=mission_id)
 
 
@@ -95,8 +91,7 @@ async def still_shares(db: Connection, guest: Actor) -> bool:
     maker = await find_person(db, row.created_by_id)
     if maker is None:
         return False
-    given = asking(maker) | {"mission_id": row.mission_id}
-    level: int | None = (await db.execute(_mission_level(whoever(maker)), given)).scalar_one_or_none()
+    level: int | None = (await db.execute(_mission_level(maker, row.mission_id))).scalar_one_or_none()
     return (level or 0) >= (OPERATIONS["create_share"].right or Right.read).level
 
 
@@ -123,16 +118,14 @@ async def hold_rights(db: Connection) -> None:
     await db.execute(select(func.pg_advisory_xact_lock(_TAKING)))
 
 
-@lru_cache(maxsize=KEPT)
-def _project_level(asker: Actor) -> Select[Any]:
-    levels = visible_projects(asker).with_only_columns(level_on_project(asker))
-    return levels.where(project.c.id == bindparam("project_id"))
+def _project_level(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    levels = visible_projects(actor).with_only_columns(level_on_project(actor))
+    return levels.where(project.c.id == project_id)
 
 
-@lru_cache(maxsize=KEPT)
-def _mission_level(asker: Actor) -> Select[Any]:
-    levels = visible_missions(asker).with_only_columns(level_on_mission(asker), maintain_column_froms=True)
-    return levels.where(mission.c.id == bindparam("mission_id"))
+def _mission_level(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    levels = visible_missions(actor).with_only_columns(level_on_mission(actor), maintain_column_froms=True)
+    return levels.where(mission.c.id == mission_id)
 
 
 def _require(row: Row[Any] | None, operation: str, *, noun: str, ref: uuid.UUID) -> None:

@@ -18,12 +18,11 @@ from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.creating import give_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project
-from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_listed
+from kleinkram.server.pages import PageRequest, fetch_page
 from kleinkram.server.projects import queries
 from kleinkram.server.projects.fields import read_fields, usable_fields
 from kleinkram.server.settings import Creators
@@ -40,8 +39,7 @@ async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> Pr
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    given = asking(actor) | {"project_id": project_id}
-    row = (await db.execute(queries.project_by_id(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(queries.project_by_id(actor, project_id))).one_or_none()
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
     return queries.to_projects([row])[0]
@@ -55,8 +53,8 @@ async def list_projects(
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    wanted = queries.listed(whoever(actor), name, text, sort, page.alike)
-    rows = await fetch_listed(db, wanted, page, asking(actor))
+    matched = queries.matching_projects(actor, name=name, text=text)
+    rows = await fetch_page(db, matched, queries.project_order(sort), page)
     return Page(items=queries.to_projects(rows.items), next=rows.next, total=rows.total)
 
 
